@@ -1,0 +1,1 @@
+"""Guidance: operators, and the predictors of what their help is worth."""

@@ -1,0 +1,1 @@
+"""Physics: the planar model and the engines that roll it out."""

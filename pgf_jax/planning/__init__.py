@@ -1,0 +1,1 @@
+"""Planning: cost terms, nominal trajectories, updates and the planner (core 1)."""

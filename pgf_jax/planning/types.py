@@ -1,0 +1,26 @@
+"""What planner, operators and fleet say to each other; no JAX here, so that imports stay light."""
+
+import dataclasses
+import enum
+
+
+class Status(enum.StrEnum):
+    """How a task ended. Failure is data: nothing raises."""
+
+    SOLVED = "solved"
+    TIMED_OUT = "timed_out"
+    STUCK = "stuck"  # out of time while stuck
+    NON_FINITE = "non_finite"
+    CENSORED = "censored"  # cut off by the horizon
+
+
+@dataclasses.dataclass(frozen=True)
+class Push:
+    """Human input: push object number `object` (0-based) so that its centre comes to (x, y), metres.
+
+    "Go on reaching", the other possible input, is `None`.
+    """
+
+    object: int
+    x: float
+    y: float

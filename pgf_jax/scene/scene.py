@@ -1,0 +1,79 @@
+"""A scene: upright cylinders on a shelf, one of them the goal, seen as disks on a plane."""
+
+import dataclasses
+
+import numpy as np
+
+from pgf_jax.errors import BadInput
+
+# The shelf and its objects, as measured on the published scenes. Metres; x into the shelf, y left.
+BACK_WALL_X = 0.59
+SIDE_WALL_Y = 0.40
+RADIUS = 0.03
+HEIGHT = 0.10
+# The published scenes hold pairs whose centres are 0.060 m apart to within rounding.
+OVERLAP_TOLERANCE = 5e-4
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Scene:
+    """One shelf, as it stands before the robot moves.
+
+    Attributes:
+      name: the file's stem, or the preset and seed; names the plan file.
+      objects: [N, 3] float64, (x, y, radius) in metres of each movable object.
+      goal: index in `objects` of the object to reach.
+    """
+
+    name: str
+    objects: np.ndarray  # [N, 3]
+    goal: int
+
+    def __post_init__(self) -> None:
+        objects = np.array(self.objects, dtype=np.float64)
+        objects.setflags(write=False)
+        object.__setattr__(self, "objects", objects)
+        validate(self)
+
+    @property
+    def positions(self) -> np.ndarray:
+        """[N, 2] centres in metres."""
+        return self.objects[:, :2]
+
+
+def validate(scene: Scene) -> None:
+    """Raise BadInput, naming the scene and the value, unless the scene can be simulated."""
+    objects, name = scene.objects, scene.name
+    if objects.ndim != 2 or objects.shape[1:] != (3,) or len(objects) == 0:
+        raise BadInput(
+            f"scene {name}: objects must be [N, 3] (x, y, radius), got shape {objects.shape}"
+        )
+    if not np.isfinite(objects).all():
+        raise BadInput(f"scene {name}: object positions and radii must be finite numbers")
+    if not 0 <= scene.goal < len(objects):
+        raise BadInput(
+            f"scene {name}: goal index must be within 0..{len(objects) - 1}, got {scene.goal}"
+        )
+    odd = np.flatnonzero(np.abs(objects[:, 2] - RADIUS) > 1e-6)
+    if len(odd):
+        raise BadInput(
+            f"scene {name}: object_{odd[0] + 1} has radius {objects[odd[0], 2]:g} m; "
+            f"only cylinders of radius {RADIUS} m are supported"
+        )
+    x, y, r = objects.T
+    outside = np.flatnonzero(
+        (x + r > BACK_WALL_X + OVERLAP_TOLERANCE) | (np.abs(y) + r > SIDE_WALL_Y)
+    )
+    if len(outside):
+        i = outside[0]
+        raise BadInput(
+            f"scene {name}: object_{i + 1} at ({x[i]:g}, {y[i]:g}) is outside the shelf "
+            f"(x <= {BACK_WALL_X - RADIUS:g}, |y| <= {SIDE_WALL_Y - RADIUS:g})"
+        )
+    gap = np.linalg.norm(objects[:, None, :2] - objects[None, :, :2], axis=-1) - (r[:, None] + r)
+    gap[np.tril_indices(len(objects))] = np.inf
+    i, j = np.unravel_index(np.argmin(gap), gap.shape)
+    if gap[i, j] < -OVERLAP_TOLERANCE:
+        raise BadInput(
+            f"scene {name}: object_{i + 1} and object_{j + 1} overlap by {-1e3 * gap[i, j]:.1f} mm"
+        )

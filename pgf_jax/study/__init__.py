@@ -1,0 +1,1 @@
+"""Studies: data collection, sweeps, results on disk and figures."""
