@@ -8,20 +8,33 @@ from pgf_jax.planning.types import Push
 
 
 class WorkKind(enum.StrEnum):
-    """What a robot's computer is asked for."""
+    """What a robot's computer, or its operator, is asked for."""
 
-    ITERATION = "iteration"  # one planner iteration of the current segment
-    RETREAT = "retreat"  # execute the push found, retract, restart reaching from there
+    ITERATION = "iteration"  # one planner iteration of the current segment -> IterationResult
+    RETREAT = "retreat"  # execute the push found, retract, restart reaching from there -> None
+    INPUT = "input"  # what the operator says of the robot as it stands -> Push, or None: go on
 
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """A piece of pending work; its result depends on (seed, robot, task, iteration) alone."""
+    """A piece of pending work; its result depends on (seed, robot, task, iteration) alone.
+
+    Attributes:
+      robot: 0-based.
+      task: 0-based, counted by robot.
+      kind: what to do.
+      iteration: ITERATION: its number over the whole task, iteration 0s of every segment included;
+        otherwise how many iterations of the task have ended.
+      request: INPUT: the task's input number, 0-based; otherwise None. An input is work because an
+        operator may try candidate pushes by rollouts, which belong in the shared batch (D8); one
+        that needs no rollouts answers at once.
+    """
 
     robot: int
     task: int
     kind: WorkKind
-    iteration: int  # counted over the whole task, iteration 0s of every segment included
+    iteration: int
+    request: int | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,7 +44,9 @@ class IterationResult:
     Attributes:
       feasible: the best trajectory reaches the goal (or, pushing, brings the object to its target).
       stuck: the stuck counter says so (D4).
-      gain: phi_auto - phi_human, each clipped at 0; nan while the history is too short.
+      gain: the number a robot may bid: phi_auto - phi_human, each clipped at 0; the true gain under
+        `oracle-gain`, the predicted probability of failure under `classifier`; nan while the
+        history is too short.
       terms: (c_d, c_f, c_b) of the best trajectory so far; pushing: (c_h, c_f, c_b).
       cost: total cost of the best trajectory so far.
       non_finite: some rollout's cost was not finite.
@@ -46,18 +61,16 @@ class IterationResult:
 
 
 class Robots(Protocol):
-    """The robots of one fleet. Every method but `decide` only changes which segment is planned.
+    """The robots of one fleet. Every method only changes which segment is planned.
 
     After `begin`, `start_push`, `drop_push` and a RETREAT, the next ITERATION is the segment's
-    iteration 0, the nominal's own rollout.
+    iteration 0, the nominal's own rollout. A robot has at most one piece of work outstanding, and
+    none of these methods is called for it while it has one; so work may be computed from the
+    robot's state as it is when the work is handed out, or at any time until it is delivered.
     """
 
     def begin(self, robot: int, task: int) -> None:
         """Take task number `task`: a new scene, a reach segment."""
-        ...
-
-    def decide(self, robot: int, request: int) -> Push | None:
-        """The operator's input for the robot as it stands; None is "go on reaching"."""
         ...
 
     def start_push(self, robot: int, push: Push) -> None:
@@ -69,5 +82,9 @@ class Robots(Protocol):
         ...
 
     def go_on(self, robot: int) -> None:
-        """Go on reaching: keep the trajectory, clear the stuck counter."""
+        """Go on reaching: keep the trajectory, clear the stuck counter.
+
+        Not called when the input comes before the task's first iteration (`always`): there is
+        nothing to keep or to clear then.
+        """
         ...

@@ -1,12 +1,14 @@
 """A scene: upright cylinders on a shelf, one of them the goal, seen as disks on a plane."""
 
 import dataclasses
+import operator
 
 import numpy as np
 
 from pgf_jax.errors import BadInput
 
 # The shelf and its objects, as measured on the published scenes. Metres; x into the shelf, y left.
+FRONT_X = 0.20  # the table's front edge: a centre before it would stand on air
 BACK_WALL_X = 0.59
 SIDE_WALL_Y = 0.40
 RADIUS = 0.03
@@ -21,8 +23,11 @@ class Scene:
 
     Attributes:
       name: the file's stem, or the preset and seed; names the plan file.
-      objects: [N, 3] float64, (x, y, radius) in metres of each movable object.
+      objects: [N, 3] float64, read-only, (x, y, radius) in metres of each movable object.
       goal: index in `objects` of the object to reach.
+
+    Raises:
+      BadInput: the scene cannot be simulated; the message names it, the value and what is expected.
     """
 
     name: str
@@ -30,8 +35,21 @@ class Scene:
     goal: int
 
     def __post_init__(self) -> None:
-        objects = np.array(self.objects, dtype=np.float64)
+        try:
+            objects = np.array(self.objects, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise BadInput(
+                f"scene {self.name}: objects must be numbers [N, 3] (x, y, radius), "
+                f"got {_short(self.objects)}"
+            ) from None
+        try:
+            goal = operator.index(self.goal)
+        except TypeError:
+            raise BadInput(
+                f"scene {self.name}: goal index must be a whole number, got {_short(self.goal)}"
+            ) from None
         objects.setflags(write=False)
+        object.__setattr__(self, "goal", goal)
         object.__setattr__(self, "objects", objects)
         validate(self)
 
@@ -48,8 +66,12 @@ def validate(scene: Scene) -> None:
         raise BadInput(
             f"scene {name}: objects must be [N, 3] (x, y, radius), got shape {objects.shape}"
         )
-    if not np.isfinite(objects).all():
-        raise BadInput(f"scene {name}: object positions and radii must be finite numbers")
+    bad = np.flatnonzero(~np.isfinite(objects).all(axis=1))
+    if len(bad):
+        raise BadInput(
+            f"scene {name}: object_{bad[0] + 1} has (x, y, radius) = "
+            f"({', '.join(f'{v:g}' for v in objects[bad[0]])}); expected finite numbers"
+        )
     if not 0 <= scene.goal < len(objects):
         raise BadInput(
             f"scene {name}: goal index must be within 0..{len(objects) - 1}, got {scene.goal}"
@@ -62,18 +84,27 @@ def validate(scene: Scene) -> None:
         )
     x, y, r = objects.T
     outside = np.flatnonzero(
-        (x + r > BACK_WALL_X + OVERLAP_TOLERANCE) | (np.abs(y) + r > SIDE_WALL_Y)
+        (x < FRONT_X)
+        | (x + r > BACK_WALL_X + OVERLAP_TOLERANCE)
+        | (np.abs(y) + r > SIDE_WALL_Y + OVERLAP_TOLERANCE)
     )
     if len(outside):
         i = outside[0]
         raise BadInput(
             f"scene {name}: object_{i + 1} at ({x[i]:g}, {y[i]:g}) is outside the shelf "
-            f"(x <= {BACK_WALL_X - RADIUS:g}, |y| <= {SIDE_WALL_Y - RADIUS:g})"
+            f"({FRONT_X:g} <= x <= {BACK_WALL_X - RADIUS:g}, |y| <= {SIDE_WALL_Y - RADIUS:g})"
         )
     gap = np.linalg.norm(objects[:, None, :2] - objects[None, :, :2], axis=-1) - (r[:, None] + r)
     gap[np.tril_indices(len(objects))] = np.inf
     i, j = np.unravel_index(np.argmin(gap), gap.shape)
     if gap[i, j] < -OVERLAP_TOLERANCE:
         raise BadInput(
-            f"scene {name}: object_{i + 1} and object_{j + 1} overlap by {-1e3 * gap[i, j]:.1f} mm"
+            f"scene {name}: object_{i + 1} and object_{j + 1} overlap by "
+            f"{-1e3 * gap[i, j]:.1f} mm; expected centres at least {r[i] + r[j]:g} m apart"
         )
+
+
+def _short(value: object) -> str:
+    """One line of at most 60 characters for an error message."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."

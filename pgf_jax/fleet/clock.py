@@ -1,0 +1,72 @@
+"""The simulated clock (D8): integer nanoseconds and a calendar with a fixed order of ties."""
+
+import enum
+import heapq
+from typing import NamedTuple
+
+from pgf_jax.fleet.robots import Work
+
+FLEET = -1  # in place of a robot, for what concerns all of them
+
+
+def nanoseconds(seconds: float) -> int:
+    """Seconds to the nearest whole nanosecond."""
+    return round(seconds * 1e9)
+
+
+class Order(enum.IntEnum):
+    """Who goes first at one instant: the order of D8, then the robot's index.
+
+    D8 does not place the limit of a waiting robot. Here it comes first, so that no operator turns
+    to a robot at the instant at which it has no time left.
+    """
+
+    EXPIRY = 0
+    SERVICE_END = 1
+    EXECUTION_END = 2
+    ITERATION_END = 3
+    WINDOW_CLOSE = 4
+    NEW_TASK = 5
+
+
+class Due(NamedTuple):
+    """An entry of the calendar; compares by time, order, robot."""
+
+    time_ns: int
+    order: Order
+    robot: int
+    serial: int  # unique, so that no comparison goes further
+    work: Work | None  # must be delivered before this can happen
+
+
+class Calendar:
+    """What happens when. Each robot (and `FLEET`) has at most one entry: its next event."""
+
+    def __init__(self) -> None:
+        self._heap: list[Due] = []
+        self._valid: dict[int, int] = {}  # robot -> serial of its entry
+        self._serial = 0
+
+    def schedule(self, time_ns: int, order: Order, robot: int, work: Work | None = None) -> None:
+        """Set the robot's next event, in place of the one it had."""
+        self._serial += 1
+        self._valid[robot] = self._serial
+        heapq.heappush(self._heap, Due(time_ns, order, robot, self._serial, work))
+
+    def cancel(self, robot: int) -> None:
+        """Take the robot's next event out, if it has one."""
+        self._valid.pop(robot, None)
+
+    def peek(self) -> Due | None:
+        """The next event, or None."""
+        while self._heap and self._valid.get(self._heap[0].robot) != self._heap[0].serial:
+            heapq.heappop(self._heap)
+        return self._heap[0] if self._heap else None
+
+    def pop(self) -> Due:
+        """Take the next event out; there must be one."""
+        due = self.peek()
+        assert due is not None
+        heapq.heappop(self._heap)
+        del self._valid[due.robot]
+        return due

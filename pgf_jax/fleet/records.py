@@ -1,0 +1,196 @@
+"""One robot's run through one task: what is counted while it lasts, and the record it leaves."""
+
+import dataclasses
+import enum
+import math
+
+from pgf_jax.fleet.policies import Progress
+from pgf_jax.fleet.robots import IterationResult
+from pgf_jax.planning.types import Push, Status
+
+
+class State(enum.StrEnum):
+    """What a robot does (D8); its time is booked under exactly one of these."""
+
+    IDLE = "idle"
+    PLANNING = "planning"  # iterations of reaching and pushing, and the final check
+    IN_WINDOW = "in_window"  # waiting, from its bid to the window's end
+    IN_LINE = "in_line"  # waiting for an operator
+    SERVED = "served"
+    EXECUTING = "executing"  # a push and its retreat, or the reach
+
+
+@dataclasses.dataclass(frozen=True)
+class TaskRecord:
+    """One row of `tasks.parquet`: the metrics of D9 for one task.
+
+    Planning, line waits, interaction and execution add up to end - start; times are s, unless named
+    `_ns`. Reach iterations are cumulative over the task and leave iteration 0s out: 0 is before or
+    at the nominal's own rollout.
+
+    Attributes:
+      robot, task: which; 0-based.
+      status: how it ended.
+      planning_time_s: the headline: iterations of reaching and pushing, first rollouts, the final
+        check and window waits; not line waits, interaction, execution or retreat.
+      waiting_s: in windows and in line.
+      window_wait_s: the part of it spent in windows.
+      interaction_s: being served.
+      execution_s: executing pushes, retreats and the reach.
+      start_ns, end_ns: simulated times.
+      iterations: of reaching and pushing that have ended, iteration 0s left out.
+      reach_iterations: those of reaching.
+      pushes_planned: pushes whose planning began.
+      pushes_succeeded: those found feasible, and executed.
+      requests: asks made: answered, refused, expired or cut off by the horizon.
+      answered: inputs given.
+      grants: services begun.
+      refusals: asks refused, in windows lost too.
+      expired: asks that ended with the task, in line, in a window or while being served.
+      first_bid, first_grant: reach iterations at the first of each, or None.
+      grants_at: reach iterations at each grant.
+      successful_grants_at: the same, for grants whose push succeeded.
+      cost, terms: total and (c_d, c_f, c_b) of the best reach trajectory after the last reach
+        iteration that has ended; nan before the first.
+      non_finite: iterations in which some rollout's cost was not finite.
+    """
+
+    robot: int
+    task: int
+    status: Status
+    planning_time_s: float
+    waiting_s: float
+    window_wait_s: float
+    interaction_s: float
+    execution_s: float
+    start_ns: int
+    end_ns: int
+    iterations: int
+    reach_iterations: int
+    pushes_planned: int
+    pushes_succeeded: int
+    requests: int
+    answered: int
+    grants: int
+    refusals: int
+    expired: int
+    first_bid: int | None
+    first_grant: int | None
+    grants_at: tuple[int, ...]
+    successful_grants_at: tuple[int, ...]
+    cost: float
+    terms: tuple[float, float, float]
+    non_finite: int
+
+
+@dataclasses.dataclass
+class Run:
+    """The running task of one robot; mutable, the simulator's own."""
+
+    robot: int
+    task: int
+    start_ns: int
+    deadline_ns: int  # the task's limit; execution, which it does not count, puts it off
+    state: State = State.PLANNING
+    since_ns: int = 0
+    spent_ns: dict[State, int] = dataclasses.field(default_factory=lambda: dict.fromkeys(State, 0))
+
+    # The segment being planned.
+    push: Push | None = None  # None: reaching
+    push_deadline_ns: int = 0
+    nominal_done: bool = False  # its iteration 0 has ended
+    stuck: bool = False  # after its last iteration
+    checking: bool = False  # the final check of a feasible reach is under way
+
+    work_iterations: int = 0  # all, iteration 0s included: the next one's number in `Work`
+    iterations: int = 0
+    reach_iterations: int = 0
+    pushes_planned: int = 0
+    requests: int = 0
+    answered: int = 0
+    refusals: int = 0
+    expired: int = 0
+    first_bid: int | None = None
+    grants_at: list[int] = dataclasses.field(default_factory=list)
+    successful_grants_at: list[int] = dataclasses.field(default_factory=list)
+    last_reach: IterationResult | None = None
+    non_finite: int = 0
+
+    def __post_init__(self) -> None:
+        self.since_ns = self.start_ns
+
+    def enter(self, state: State, now_ns: int) -> None:
+        """Book the time since the last change and change state."""
+        self.spent_ns[self.state] += now_ns - self.since_ns
+        self.state, self.since_ns = state, now_ns
+
+    def new_segment(self) -> None:
+        """A new nominal, counter and history (D4)."""
+        self.nominal_done = self.stuck = False
+
+    def count(self, result: IterationResult) -> None:
+        """Book an iteration that has ended."""
+        self.work_iterations += 1
+        if self.nominal_done:
+            self.iterations += 1
+            self.reach_iterations += self.push is None
+        self.nominal_done = True
+        self.stuck = result.stuck
+        self.non_finite += result.non_finite
+        if self.push is None:
+            self.last_reach = result
+
+    def progress(self, now_ns: int) -> Progress:
+        """What a policy may know."""
+        return Progress(
+            self.robot,
+            self.task,
+            self.reach_iterations,
+            len(self.grants_at),
+            (self.deadline_ns - now_ns) / 1e9,
+        )
+
+    def failure(self) -> Status:
+        """How a task that has run out of time ended.
+
+        The design names the statuses, not their order: a best trajectory that cannot be costed says
+        more than the counter, which cannot be trusted then.
+        """
+        if self.last_reach is not None and not math.isfinite(self.last_reach.cost):
+            return Status.NON_FINITE
+        return Status.STUCK if self.stuck else Status.TIMED_OUT
+
+    def record(self, status: Status, now_ns: int) -> TaskRecord:
+        """The record of the task, which ends now."""
+        self.enter(State.IDLE, now_ns)
+        spent = {state: ns / 1e9 for state, ns in self.spent_ns.items()}
+        window_ns = self.spent_ns[State.IN_WINDOW]
+        return TaskRecord(
+            robot=self.robot,
+            task=self.task,
+            status=status,
+            # Sums in ns: two floats added could differ in the last bit from their exact sum.
+            planning_time_s=(self.spent_ns[State.PLANNING] + window_ns) / 1e9,
+            waiting_s=(self.spent_ns[State.IN_LINE] + window_ns) / 1e9,
+            window_wait_s=spent[State.IN_WINDOW],
+            interaction_s=spent[State.SERVED],
+            execution_s=spent[State.EXECUTING],
+            start_ns=self.start_ns,
+            end_ns=now_ns,
+            iterations=self.iterations,
+            reach_iterations=self.reach_iterations,
+            pushes_planned=self.pushes_planned,
+            pushes_succeeded=len(self.successful_grants_at),
+            requests=self.requests,
+            answered=self.answered,
+            grants=len(self.grants_at),
+            refusals=self.refusals,
+            expired=self.expired,
+            first_bid=self.first_bid,
+            first_grant=self.grants_at[0] if self.grants_at else None,
+            grants_at=tuple(self.grants_at),
+            successful_grants_at=tuple(self.successful_grants_at),
+            cost=self.last_reach.cost if self.last_reach else math.nan,
+            terms=self.last_reach.terms if self.last_reach else (math.nan,) * 3,
+            non_finite=self.non_finite,
+        )

@@ -1,0 +1,108 @@
+"""The protocol every engine keeps, and the registry that finds engines by name.
+
+Axes: B rollouts, T knots, N objects, C contact slots.
+"""
+
+import importlib
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+from pgf_jax.errors import BadInput
+from pgf_jax.physics.config import Physics
+
+Array = Any  # numpy or JAX array: engines take and return either
+
+
+class World(NamedTuple):
+    """The physical state that a rollout starts from."""
+
+    objects: Array  # [B, N, 2] centres, m
+    velocities: Array  # [B, N, 2] m/s
+    hand: Array  # [B, 3] base x, y (m) and yaw (rad)
+    gripper: Array  # [B] 0 open .. 255 closed
+
+
+class Rollout(NamedTuple):
+    """What a rollout leaves behind: knot ends, and the contacts of each knot's last substep.
+
+    A contact's bodies are 0..N-1 an object, N the hand, N+1 a wall; empty slots have zero force.
+    """
+
+    objects: Array  # [B, T, N, 2] centres at knot ends, m
+    hand: Array  # [B, T, 3] hand poses at knot ends
+    velocities: Array  # [B, N, 2] object velocities at the end, m/s
+    force: Array  # [B, T, C] magnitude of each contact's force (normal and friction), N
+    bodies: Array  # [B, T, C, 2] int32, the two bodies of each contact
+
+
+class Engine(Protocol):
+    """Rolls out velocity controls of the hand through the planar world.
+
+    Attributes:
+      name: as registered.
+      physics: the constants it simulates.
+      n_objects: N, fixed at construction.
+      lanes: L, how many robots' work one call takes (each with K rollouts); results are bit-equal
+        for equal L whatever the other lanes hold.
+    """
+
+    name: str
+    physics: Physics
+    n_objects: int
+    lanes: int
+
+    def rollout(self, start: World, controls: Array, gripper: Array, substeps: int) -> Rollout:
+        """Roll out from `start`.
+
+        Args:
+          start: [B] worlds.
+          controls: [B, T, 3] hand velocity of each knot along the world axes (m/s, m/s, rad/s).
+          gripper: [B, T] gripper value that each knot moves to, linearly within the knot.
+          substeps: physics substeps per knot.
+
+        Returns:
+          The rollout; non-finite positions mark one that diverged.
+        """
+        ...
+
+
+_ENGINES: dict[str, str | Callable[..., Engine]] = {
+    "mjx": "pgf_jax.physics.mjx:MjxEngine",
+    "native": "pgf_jax.physics.native:NativeEngine",
+}
+
+
+def register_engine(name: str, make: Callable[..., Engine]) -> None:
+    """Make `make(physics, n_objects, lanes=..., **options)` available as `make_engine(name)`."""
+    _ENGINES[name] = make
+
+
+def engine_names() -> list[str]:
+    """Names that `make_engine` takes."""
+    return sorted(_ENGINES)
+
+
+def make_engine(
+    name: str, *, physics: Physics | None = None, n_objects: int = 20, lanes: int = 1, **options
+) -> Engine:
+    """Build an engine.
+
+    Args:
+      name: `mjx`, `native` or a registered one.
+      physics: the planar world's constants; the default ones if None.
+      n_objects: N, movable objects in every scene it will be given.
+      lanes: L, robots per call.
+      **options: the engine's own (solver, iterations, threads ...).
+
+    Raises:
+      BadInput: no engine of that name, or a size that is not positive.
+    """
+    if name not in _ENGINES:
+        raise BadInput(f"unknown engine {name!r}: expected one of {', '.join(engine_names())}")
+    if n_objects < 1 or lanes < 1:
+        raise BadInput(f"engine {name}: n_objects and lanes must be positive, got {n_objects}, {lanes}")
+    make = _ENGINES[name]
+    if isinstance(make, str):
+        module, attribute = make.split(":")
+        make = getattr(importlib.import_module(module), attribute)
+    return make(physics or Physics(), n_objects, lanes=lanes, **options)

@@ -1,0 +1,102 @@
+"""The hand on the plane: capsules fitted to the measured footprint, and how the fingers move them.
+
+The footprint (D2) is rigid link by link, so each capsule is fitted once, in the open hand, and
+carried by its link: every link turns about a joint by an angle proportional to the gripper value
+(0 open .. 255 closed). `experiments/fit_hand.py` prints the tables below from the footprint file.
+"""
+
+import dataclasses
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+GRIPPER_CLOSED = 255.0
+
+# End-effector point and pointing direction in the hand's frame (joints at zero): ee_point_1 and
+# ee_point_2 of the footprint file. Metres.
+EE_POINT = np.array([0.18209, -0.00884])
+EE_POINT_AHEAD = np.array([0.20206, -0.00981])
+POINTING_YAW = float(np.arctan2(*(EE_POINT_AHEAD - EE_POINT)[::-1]))  # -0.0485 rad, -2.78 deg
+
+
+@dataclasses.dataclass(frozen=True)
+class Link:
+    """A moving link: it turns about `joint` (open hand, metres) by `angle` (rad, at 255) in all.
+
+    `parent` is the link that carries the joint; None is the palm.
+    """
+
+    joint: tuple[float, float]
+    angle: float
+    parent: str | None = None
+
+
+LINKS = {
+    "right_driver": Link((0.1385, 0.0239), -0.8225),
+    "right_coupler": Link((0.1401, 0.0555), -0.6356, "right_driver"),
+    "right_follower": Link((0.1878, 0.0590), 0.0066, "right_coupler"),
+    "right_spring": Link((0.1441, 0.0050), -0.7214),
+    "left_driver": Link((0.1356, -0.0372), 0.8227),
+    "left_coupler": Link((0.1342, -0.0686), 0.6353, "left_driver"),
+    "left_follower": Link((0.1812, -0.0770), -0.0058, "left_coupler"),
+    "left_spring": Link((0.1429, -0.0189), 0.7211),
+}
+
+# (link or "palm", x1, y1, x2, y2, radius) in the open hand, metres.
+CAPSULES: tuple[tuple[str, float, float, float, float, float], ...] = (
+    ("palm", -0.0005, -0.0047, -0.0005, 0.0037, 0.0521),  # base
+    ("palm", -0.0240, 0.0012, 0.0947, -0.0045, 0.0379),  # wrist and coupler
+    ("palm", 0.1177, -0.0055, 0.1311, -0.0063, 0.0417),
+    ("palm", 0.1495, -0.0209, 0.1465, -0.0035, 0.0138),
+    ("right_driver", 0.1390, 0.0269, 0.1420, 0.0535, 0.0098),
+    ("right_coupler", 0.1401, 0.0554, 0.1872, 0.0592, 0.0060),
+    ("right_follower", 0.1890, 0.0382, 0.2267, 0.0338, 0.0065),  # the pad
+    ("right_follower", 0.1850, 0.0534, 0.2179, 0.0362, 0.0080),  # its back
+    ("right_spring", 0.1443, 0.0056, 0.1888, 0.0409, 0.0060),
+    ("left_driver", 0.1361, -0.0669, 0.1356, -0.0405, 0.0099),
+    ("left_coupler", 0.1342, -0.0687, 0.1807, -0.0771, 0.0060),
+    ("left_follower", 0.1843, -0.0562, 0.2229, -0.0555, 0.0063),
+    ("left_follower", 0.1789, -0.0711, 0.2138, -0.0571, 0.0079),
+    ("left_spring", 0.1429, -0.0185, 0.1841, -0.0580, 0.0060),
+)
+RADII = np.array([c[5] for c in CAPSULES])  # [C] metres
+N_CAPSULES = len(CAPSULES)
+
+
+def capsule_segments(gripper: Any, xp: ModuleType = np) -> Any:
+    """The capsules' axes in the hand's frame.
+
+    Args:
+      gripper: scalar, 0 (open) .. 255 (closed).
+      xp: the array module to compute with, `numpy` or `jax.numpy`.
+
+    Returns:
+      [C, 2, 2] endpoints (x, y) in metres.
+    """
+    closed = gripper / GRIPPER_CLOSED
+    moved = {"palm": (xp.eye(2), xp.zeros(2))}
+    for name, link in LINKS.items():
+        angle, joint = link.angle * closed, xp.asarray(link.joint)
+        c, s = xp.cos(angle), xp.sin(angle)
+        turn = xp.stack([xp.stack([c, -s]), xp.stack([s, c])])
+        carried_turn, carried_shift = moved[link.parent or "palm"]
+        joint_now = carried_turn @ joint + carried_shift
+        moved[name] = (turn, joint_now - turn @ joint)
+    segments = []
+    for name, x1, y1, x2, y2, _ in CAPSULES:
+        turn, shift = moved[name]
+        ends = xp.asarray([[x1, y1], [x2, y2]])
+        segments.append(ends @ turn.T + shift)
+    return xp.stack(segments)
+
+
+def capsule_poses(gripper: Any, xp: ModuleType = np) -> tuple[Any, Any]:
+    """Geom poses of the capsules in the hand's frame: [C, 3] positions, [C, 4] quaternions (wxyz)."""
+    ends = capsule_segments(gripper, xp)
+    middle, along = ends.mean(1), ends[:, 1] - ends[:, 0]
+    along = along / xp.sqrt((along**2).sum(-1, keepdims=True))
+    zero = xp.zeros_like(middle[:, :1])
+    half = np.float32(np.sqrt(0.5))  # a quarter turn about an axis in the plane lays z along it
+    quat = xp.concatenate([zero + half, -half * along[:, 1:], half * along[:, :1], zero], axis=1)
+    return xp.concatenate([middle, zero], axis=1), quat

@@ -1,0 +1,104 @@
+"""The one planar MJCF, compiled once per (physics, number of objects): every engine's constants.
+
+The plane z = 0 seen from above: the hand is a kinematic body on two slides and a hinge (an armature
+so large that contacts cannot slow it; its velocity is written at every knot), objects are spheres on
+two slides, walls are planes. Table friction is the joints' frictionloss (D2).
+"""
+
+import functools
+
+import mujoco
+import numpy as np
+
+from pgf_jax.physics import hand
+from pgf_jax.physics.config import Physics
+from pgf_jax.scene.scene import BACK_WALL_X, RADIUS, SIDE_WALL_Y
+
+HAND_DOFS = 3  # x, y, yaw
+KINEMATIC_ARMATURE = 1e6  # 100 N then change the hand's velocity by 4e-5 m/s within a knot
+# No scene among the published ones had more than 20 simultaneous contacts.
+MAX_CONTACTS = 24
+
+
+def mjcf(physics: Physics, n_objects: int) -> str:
+    """The model as MJCF text; the hand open, the objects in a row (positions come through qpos)."""
+    soft = f'solref="{physics.solref_timeconst} 1" solimp="{physics.impedance} {physics.impedance}"'
+    positions, quats = hand.capsule_poses(np.float64(0.0))
+    lengths = np.linalg.norm(np.diff(hand.capsule_segments(np.float64(0.0)), axis=1)[:, 0], axis=-1)
+    capsules = "\n".join(
+        f'<geom class="hand" size="{r} {h / 2}" pos="{" ".join(map(str, p))}"'
+        f' quat="{" ".join(map(str, q))}"/>'
+        for r, h, p, q in zip(hand.RADII, lengths, positions, quats, strict=True)
+    )
+    objects = "\n".join(
+        f'<body name="object_{i + 1}" pos="0 0 0"><geom class="object" name="object_{i + 1}"/>'
+        '<joint class="object" axis="1 0 0"/><joint class="object" axis="0 1 0"/></body>'
+        for i in range(n_objects)
+    )
+    # Walls carry the hand's bit, so that hand and walls never meet: touching the shelf is a cost
+    # (c_s), computed from positions, and no use as a contact between two kinematic bodies.
+    return f"""
+<mujoco model="planar">
+  <option timestep="{physics.substep_s!r}" gravity="0 0 0" cone="pyramidal" jacobian="dense"
+          integrator="Euler">
+    <flag eulerdamp="disable" midphase="disable"/>
+  </option>
+  <custom><numeric name="max_contact_points" data="{MAX_CONTACTS}"/></custom>
+  <default>
+    <geom condim="3" {soft}/>
+    <default class="object">
+      <geom type="sphere" size="{RADIUS}" mass="{physics.mass}" contype="1" conaffinity="3"
+            friction="{physics.object_friction}"/>
+      <joint type="slide" armature="{physics.armature}" damping="{physics.damping}"
+             frictionloss="{physics.frictionloss}" solreffriction="{physics.solref_timeconst} 1"
+             solimpfriction="{physics.impedance} {physics.impedance}"/>
+    </default>
+    <default class="hand">
+      <geom type="capsule" contype="2" conaffinity="0" friction="{physics.hand_friction}" mass="0"/>
+      <joint armature="{KINEMATIC_ARMATURE}"/>
+    </default>
+    <default class="wall">
+      <geom type="plane" size="1 1 .1" contype="2" conaffinity="0"
+            friction="{physics.wall_friction}"/>
+    </default>
+  </default>
+  <worldbody>
+    <geom class="wall" name="back" pos="{BACK_WALL_X} 0 0" zaxis="-1 0 0"/>
+    <geom class="wall" name="left" pos="0 {SIDE_WALL_Y} 0" zaxis="0 -1 0"/>
+    <geom class="wall" name="right" pos="0 {-SIDE_WALL_Y} 0" zaxis="0 1 0"/>
+    <body name="hand" sleep="never">
+      <inertial pos="0 0 0" mass="124" diaginertia="1 1 1"/>
+      <joint class="hand" type="slide" axis="1 0 0"/>
+      <joint class="hand" type="slide" axis="0 1 0"/>
+      <joint class="hand" type="hinge" axis="0 0 1"/>
+      {capsules}
+    </body>
+    {objects}
+  </worldbody>
+</mujoco>"""
+
+
+@functools.lru_cache(maxsize=8)
+def compile_model(physics: Physics, n_objects: int) -> mujoco.MjModel:
+    """Compile the planar model; treat the result as read-only (copy it before changing options)."""
+    model = mujoco.MjModel.from_xml_string(mjcf(physics, n_objects))
+    # Solver tolerances scale with the mean inertia; the hand's huge armature must not loosen them.
+    model.stat.meaninertia = physics.mass + physics.armature
+    # The broad phase boxes each body once; the fingers move, so the hand's box holds every pose.
+    root = model.body_bvhadr[model.body("hand").id]
+    model.bvh_aabb[root] = np.array([0.1, 0.0, 0.0, 0.25, 0.2, 0.1])
+    return model
+
+
+def hand_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """[C] geom ids of the hand's capsules, in the order of `hand.CAPSULES`."""
+    return np.flatnonzero(model.geom_bodyid == model.body("hand").id)
+
+
+def geom_bodies(model: mujoco.MjModel, n_objects: int) -> np.ndarray:
+    """[geoms] what each geom belongs to: 0..N-1 an object, N the hand, N+1 a wall."""
+    codes = np.full(model.ngeom, n_objects + 1, np.int32)
+    codes[hand_geoms(model)] = n_objects
+    for i in range(n_objects):
+        codes[model.geom(f"object_{i + 1}").id] = i
+    return codes

@@ -1,0 +1,240 @@
+"""Import of the authors' published scene files (MJCF).
+
+A scene file holds its objects as bodies `object_1`, `object_2`, ... of the worldbody, each one
+upright cylinder on a free joint, and draws shelf and robot from includes. Only the objects are
+read: the shelf and the robot are the planar model's own, so the includes need not be there. What a
+file leaves out (mass, friction, the joint's damping) is taken to be the published objects'; what
+it says otherwise is refused, because the planar model would not simulate it.
+"""
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+
+from pgf_jax.errors import BadInput
+from pgf_jax.scene.scene import HEIGHT, RADIUS, Scene
+
+GOAL_BODY = "object_3"
+
+# Of MJCF's ways to turn a body only `quat` is read: the published files use no other.
+_OTHER_ORIENTATIONS = ("axisangle", "euler", "xyaxes", "zaxis")
+_MAX_TILT = math.radians(1.0)
+_MAX_HEIGHT_SPREAD = HEIGHT / 4  # the published objects' z agree to 0.1 mm
+_WORLD_CHILDREN = ("body", "include", "light", "camera", "site")
+_BODY_CHILDREN = ("geom", "joint", "freejoint", "site", "light", "camera")
+# Attributes that the planar model fixes: element, attribute, the first number of its value.
+_FIXED = (
+    ("geom", "mass", 1.0),
+    ("geom", "friction", 0.3),
+    ("joint", "damping", 0.5),
+    ("joint", "armature", 0.1),
+)
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read one scene file; its stem is the scene's name and `object_3` the goal.
+
+    Args:
+      path: an MJCF file in the published scenes' form.
+
+    Returns:
+      The scene, its objects in the order of their numbers.
+
+    Raises:
+      BadInput: the file is missing, malformed, or holds what the planar model does not simulate
+        (anything but upright cylinders of radius 0.03 m and height 0.10 m, mass 1 kg and friction
+        0.3, clear of each other and on the shelf). The message is one line with the file, the
+        value and what was expected.
+
+    Source: https://github.com/rpapallas/PGF, models/warehouse_N.xml.
+    """
+    path = Path(path)
+    try:
+        return _read(path)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None
+
+
+def load_scenes(directory: str | Path) -> list[Scene]:
+    """Read every `*.xml` directly in a directory, in natural order (scene_2 before scene_10).
+
+    Raises:
+      BadInput: no such directory, no scene file in it, or a file that `load_scene` refuses.
+    """
+    directory = Path(directory)
+    if not directory.is_dir():
+        raise BadInput(f"{directory}: expected a directory of scene files (*.xml), found none")
+    paths = sorted((p for p in directory.glob("*.xml") if p.is_file()), key=_natural)
+    if not paths:
+        raise BadInput(f"{directory}: holds no scene file; expected one or more *.xml")
+    return [load_scene(path) for path in paths]
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Sort key that reads the digits in a name as numbers."""
+    parts = re.split(r"([0-9]+)", path.name)
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
+
+
+def _read(path: Path) -> Scene:
+    bodies = _object_bodies(_parse(path))
+    numbers = sorted(bodies)
+    for expected, number in enumerate(numbers, start=1):
+        if number != expected:
+            raise BadInput(
+                f"object_{expected} is missing; expected objects numbered 1..N, "
+                f"got {len(numbers)} up to object_{numbers[-1]}"
+            )
+    goal = int(GOAL_BODY.removeprefix("object_"))
+    if goal not in bodies:
+        raise BadInput(
+            f"the goal {GOAL_BODY} is missing; expected it among the objects, got {len(numbers)}"
+        )
+    positions = np.array([_position(bodies[n], f"object_{n}") for n in numbers])  # [N, 3]
+    off = np.abs(positions[:, 2] - np.median(positions[:, 2]))
+    if off.max() > _MAX_HEIGHT_SPREAD:
+        i = int(off.argmax())
+        raise BadInput(
+            f"object_{i + 1} is at z {positions[i, 2]:g} m; expected all objects to stand on one "
+            f"level (median z {np.median(positions[:, 2]):g} m)"
+        )
+    for number in numbers:
+        _check_object(bodies[number], f"object_{number}")
+    positions[:, 2] = RADIUS
+    return Scene(path.stem, positions, goal - 1)
+
+
+def _parse(path: Path) -> ET.Element:
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise BadInput("no such file; expected a scene file (MJCF)") from None
+    except OSError as error:
+        raise BadInput(f"cannot be read ({error.strerror}); expected a scene file (MJCF)") from None
+    try:
+        root = ET.fromstring(content)
+    # Besides its own error, the parser lets those of the text decoding through.
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise BadInput(f"not well-formed XML ({error}); expected a scene file (MJCF)") from None
+    if root.tag != "mujoco":
+        raise BadInput(f"root element is <{root.tag}>; expected <mujoco>")
+    return root
+
+
+def _object_bodies(root: ET.Element) -> dict[int, ET.Element]:
+    """The object bodies by number."""
+    bodies: dict[int, ET.Element] = {}
+    for element in root.iterfind("worldbody/*"):
+        if element.tag not in _WORLD_CHILDREN:
+            raise BadInput(f"worldbody holds <{element.tag}>; expected object bodies and includes")
+        if element.tag != "body":
+            continue
+        name = element.get("name", "")
+        match = re.fullmatch(r"object_([1-9][0-9]{0,5})", name)
+        if match is None:
+            raise BadInput(f"body {name!r} is not supported; expected bodies named object_N")
+        number = int(match[1])
+        if number in bodies:
+            raise BadInput(f"{name} appears twice; expected every object once")
+        bodies[number] = element
+    if not bodies:
+        raise BadInput("no objects; expected bodies object_1, object_2, ... in the worldbody")
+    return bodies
+
+
+def _check_object(body: ET.Element, name: str) -> None:
+    """Refuse whatever is not one upright standard cylinder on a free joint."""
+    for child in body:
+        if child.tag not in _BODY_CHILDREN:
+            raise BadInput(f"{name} holds <{child.tag}>; expected one geom and one free joint")
+    _check_upright(body, name)
+    geom = _only_geom(body, name)
+    kind = geom.get("type")
+    if kind != "cylinder":
+        raise BadInput(f"{name} has a geom of type {kind!r}; only upright cylinders are supported")
+    size = geom.get("size")
+    if not _all_close(_numbers(geom, "size", name), (RADIUS, HEIGHT / 2)):
+        raise BadInput(
+            f"{name} has size {size!r}; expected '{RADIUS:g} {HEIGHT / 2:g}' "
+            f"(radius and half height, m)"
+        )
+    for attribute in ("pos", "quat", "fromto", *_OTHER_ORIENTATIONS):
+        if geom.get(attribute) is not None:
+            raise BadInput(
+                f"{name} has a geom with {attribute}={geom.get(attribute)!r}; "
+                f"expected the cylinder at its body's own pose"
+            )
+    joints = [*body.iterfind("joint"), *body.iterfind("freejoint")]
+    free = len(joints) == 1 and (joints[0].tag == "freejoint" or joints[0].get("type") == "free")
+    if not free:
+        raise BadInput(f"{name} has {_describe(joints)}; expected one free joint")
+    for tag, attribute, expected in _FIXED:
+        for element in body.iterfind(tag):
+            if element.get(attribute) is None:
+                continue
+            if not _all_close(_numbers(element, attribute, name)[:1], (expected,)):
+                raise BadInput(
+                    f"{name} has {attribute} {element.get(attribute)!r}; expected {expected:g}"
+                )
+
+
+def _check_upright(body: ET.Element, name: str) -> None:
+    for attribute in _OTHER_ORIENTATIONS:
+        if body.get(attribute) is not None:
+            raise BadInput(
+                f"{name} has {attribute}={body.get(attribute)!r}; expected its orientation as quat"
+            )
+    if body.get("quat") is None:
+        return
+    quat = _numbers(body, "quat", name)
+    norm2 = sum(q * q for q in quat)
+    if len(quat) != 4 or norm2 < 1e-12:
+        raise BadInput(f"{name} has quat {body.get('quat')!r}; expected four numbers, not all 0")
+    # The z axis of the body, seen from the world: its z component is the cosine of the tilt.
+    cosine = 1 - 2 * (quat[1] ** 2 + quat[2] ** 2) / norm2
+    if cosine < math.cos(_MAX_TILT):
+        tilt = math.degrees(math.acos(max(-1.0, cosine)))
+        raise BadInput(f"{name} is tilted by {tilt:.1f} deg; expected it upright (quat about z)")
+
+
+def _position(body: ET.Element, name: str) -> list[float]:
+    position = _numbers(body, "pos", name)
+    if len(position) != 3:
+        raise BadInput(f"{name} has pos {body.get('pos')!r}; expected three numbers 'x y z' (m)")
+    return position
+
+
+def _only_geom(body: ET.Element, name: str) -> ET.Element:
+    geoms = body.findall("geom")
+    if len(geoms) != 1:
+        raise BadInput(f"{name} has {len(geoms)} geoms; expected one cylinder")
+    return geoms[0]
+
+
+def _describe(joints: list[ET.Element]) -> str:
+    if len(joints) != 1:
+        return f"{len(joints)} joints"
+    return f"a joint of type {joints[0].get('type', 'hinge')!r}"
+
+
+def _numbers(element: ET.Element, attribute: str, name: str) -> list[float]:
+    """The finite numbers of an attribute."""
+    text = element.get(attribute)
+    if text is None:
+        raise BadInput(f"{name} has no {attribute}; expected it on its <{element.tag}>")
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = [math.nan]
+    if not all(map(math.isfinite, values)):
+        raise BadInput(f"{name} has {attribute} {text!r}; expected finite numbers")
+    return values
+
+
+def _all_close(values: list[float], expected: tuple[float, ...]) -> bool:
+    return len(values) == len(expected) and all(
+        abs(value - want) <= 1e-6 for value, want in zip(values, expected, strict=True)
+    )
