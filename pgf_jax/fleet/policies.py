@@ -40,7 +40,10 @@ class Progress(NamedTuple):
 class Policy(Protocol):
     """When to ask. None means: plan on without asking."""
 
-    discipline: Discipline
+    @property
+    def discipline(self) -> Discipline:
+        """How its asks meet the operators."""
+        ...
 
     def first_bid(self, progress: Progress) -> float | None:
         """The bid before any planning of the task, or None."""

@@ -8,6 +8,8 @@ from pgf_jax.fleet.policies import Progress
 from pgf_jax.fleet.robots import IterationResult
 from pgf_jax.planning.types import Push, Status
 
+NO_TERMS = (math.nan, math.nan, math.nan)
+
 
 class State(enum.StrEnum):
     """What a robot does (D8); its time is booked under exactly one of these."""
@@ -191,6 +193,6 @@ class Run:
             grants_at=tuple(self.grants_at),
             successful_grants_at=tuple(self.successful_grants_at),
             cost=self.last_reach.cost if self.last_reach else math.nan,
-            terms=self.last_reach.terms if self.last_reach else (math.nan,) * 3,
+            terms=self.last_reach.terms if self.last_reach else NO_TERMS,
             non_finite=self.non_finite,
         )

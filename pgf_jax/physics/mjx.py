@@ -29,8 +29,8 @@ class MjxEngine:
         n_objects: int,
         *,
         lanes: int = 1,
-        solver: str = "cg",
-        iterations: int = 4,
+        solver: str = "newton",
+        iterations: int = 2,
         ls_iterations: int = 6,
     ) -> None:
         self.physics, self.n_objects, self.lanes = physics, n_objects, lanes

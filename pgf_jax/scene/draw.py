@@ -79,12 +79,9 @@ def draw_scene(
         for (x, y, radius), (end_x, end_y) in zip(scene.objects, ends, strict=True):
             if np.hypot(end_x - x, end_y - y) < _MOVED:
                 continue
-            ax.add_patch(
-                Circle((end_y, end_x), radius, fill=False, linestyle="--", edgecolor="black")
-            )
-            ax.annotate(
-                "", (end_y, end_x), (y, x), arrowprops={"arrowstyle": "->", "color": "black"}
-            )
+            outline = Circle((end_y, end_x), radius, fill=False, linestyle="--", zorder=4)
+            ax.add_patch(outline)
+            ax.annotate("", (end_y, end_x), (y, x), arrowprops={"arrowstyle": "->"}, zorder=4)
     for path in paths:
         ax.plot(path[:, 1], path[:, 0], color=ROBOT_COLOR, linewidth=1.2, zorder=4)
     ax.plot([0.0, START_EE[1]], [0.0, START_EE[0]], color=ROBOT_COLOR, linewidth=4, zorder=3)

@@ -1,0 +1,278 @@
+"""Metrics of a cell (D9): one fleet's records and events in, one row of `summary.csv` out.
+
+Everything is computed from records and events alone, so that it can be computed again from the
+files of a sweep.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Sequence
+from statistics import NormalDist
+
+import numpy as np
+
+from pgf_jax.fleet.config import FleetConfig
+from pgf_jax.fleet.events import Event, EventKind
+from pgf_jax.fleet.records import TaskRecord
+from pgf_jax.planning.types import Status
+
+NS_PER_HOUR = 3600 * 10**9
+
+
+@dataclasses.dataclass(frozen=True)
+class Interval:
+    """A mean, or a rate, and its confidence interval; nan where the sample is too small for one."""
+
+    mean: float
+    low: float
+    high: float
+    n: int  # sample size
+
+
+@dataclasses.dataclass(frozen=True)
+class CellSummary:
+    """One cell: one fleet under one policy. Intervals are 95 %: t for means, Wilson for rates.
+
+    Tasks that the horizon cut off have no outcome: they count in `censored` and nowhere else but
+    in `requests` to `expired` and in what is read from the events. Intervals take tasks as
+    independent, although a fleet's tasks share its operators; only `paired_difference` is free of
+    differences between scenes.
+
+    Attributes:
+      policy, robots, operators, seed: which cell.
+      tasks: tasks that ended; `solved` and `failed` of them, by `timed_out`, `stuck`, `non_finite`.
+      censored: tasks that the horizon cut off.
+      hours: simulated time, to the horizon or to the last task's end.
+      tasks_per_hour: solved tasks per simulated hour, the throughput.
+      success: rate of solved tasks among those that ended.
+      helped: rate of tasks with at least one grant.
+      planning_time_s, waiting_s, interaction_s: over all tasks that ended, failures included.
+      planning_time_solved_s: over solved tasks.
+      reach_iterations: over all tasks that ended.
+      first_bid, first_grant: reach iteration of each, over the tasks that have one.
+      every_grant, every_successful_grant: reach iteration, over all grants (whose push succeeded).
+      requests, answered, grants, refusals, expired: totals.
+      pushes_planned, pushes_succeeded, non_finite: totals.
+      utilisation: busy share of the operators' time.
+      windows, window_size_mean, window_size_max: windows closed; bids in them at their close.
+    """
+
+    policy: str
+    robots: int
+    operators: int
+    seed: int
+    tasks: int
+    solved: int
+    timed_out: int
+    stuck: int
+    failed_non_finite: int
+    censored: int
+    hours: float
+    tasks_per_hour: float
+    success: Interval
+    helped: Interval
+    planning_time_s: Interval
+    planning_time_solved_s: Interval
+    waiting_s: Interval
+    interaction_s: Interval
+    reach_iterations: Interval
+    first_bid: Interval
+    first_grant: Interval
+    every_grant: Interval
+    every_successful_grant: Interval
+    requests: int
+    answered: int
+    grants: int
+    refusals: int
+    expired: int
+    pushes_planned: int
+    pushes_succeeded: int
+    non_finite: int
+    utilisation: float
+    windows: int
+    window_size_mean: float
+    window_size_max: int
+
+    def row(self) -> dict[str, str | int | float]:
+        """Flat, for a table: an interval becomes NAME, NAME_low, NAME_high and NAME_n."""
+        row: dict[str, str | int | float] = {}
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, Interval):
+                row[field.name] = value.mean
+                row |= {f"{field.name}_{k}": getattr(value, k) for k in ("low", "high", "n")}
+            else:
+                row[field.name] = value
+        return row
+
+
+def summarise(
+    config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
+) -> CellSummary:
+    """The summary of one fleet that is done.
+
+    Args:
+      config: the fleet's.
+      records: its task records, in any order.
+      events: its event log, in order.
+    """
+    ended = [record for record in records if record.status is not Status.CENSORED]
+    solved = [record for record in ended if record.status is Status.SOLVED]
+    elapsed_ns = max((record.end_ns for record in records), default=0)
+    sizes = window_sizes(events)
+
+    def count(status: Status) -> int:
+        return sum(record.status is status for record in records)
+
+    def total(name: str) -> int:
+        return sum(getattr(record, name) for record in records)
+
+    def mean(name: str, among: list[TaskRecord] = ended) -> Interval:
+        values = [getattr(record, name) for record in among]
+        return mean_interval([value for value in values if value is not None])
+
+    def pooled(name: str) -> Interval:
+        return mean_interval([value for record in ended for value in getattr(record, name)])
+
+    return CellSummary(
+        policy=config.policy,
+        robots=config.robots,
+        operators=config.operators,
+        seed=config.seed,
+        tasks=len(ended),
+        solved=len(solved),
+        timed_out=count(Status.TIMED_OUT),
+        stuck=count(Status.STUCK),
+        failed_non_finite=count(Status.NON_FINITE),
+        censored=count(Status.CENSORED),
+        hours=elapsed_ns / NS_PER_HOUR,
+        tasks_per_hour=len(solved) * NS_PER_HOUR / elapsed_ns if elapsed_ns else math.nan,
+        success=rate_interval(len(solved), len(ended)),
+        helped=rate_interval(sum(record.grants > 0 for record in ended), len(ended)),
+        planning_time_s=mean("planning_time_s"),
+        planning_time_solved_s=mean("planning_time_s", solved),
+        waiting_s=mean("waiting_s"),
+        interaction_s=mean("interaction_s"),
+        reach_iterations=mean("reach_iterations"),
+        first_bid=mean("first_bid"),
+        first_grant=mean("first_grant"),
+        every_grant=pooled("grants_at"),
+        every_successful_grant=pooled("successful_grants_at"),
+        requests=total("requests"),
+        answered=total("answered"),
+        grants=total("grants"),
+        refusals=total("refusals"),
+        expired=total("expired"),
+        pushes_planned=total("pushes_planned"),
+        pushes_succeeded=total("pushes_succeeded"),
+        non_finite=total("non_finite"),
+        utilisation=(busy_ns(events) / (config.operators * elapsed_ns) if elapsed_ns else math.nan),
+        windows=len(sizes),
+        window_size_mean=float(np.mean(sizes)) if sizes else math.nan,
+        window_size_max=max(sizes, default=0),
+    )
+
+
+def busy_ns(events: Iterable[Event]) -> int:
+    """Time that operators spend serving, all operators together, ns."""
+    total, since = 0, {}
+    for event in events:
+        if event.kind is EventKind.GRANT:
+            since[event.operator] = event.time_ns
+        elif event.kind is EventKind.SERVICE_END:
+            total += event.time_ns - since.pop(event.operator)
+    return total
+
+
+def window_sizes(events: Iterable[Event]) -> list[int]:
+    """How many bids each window held when it closed, in order; expired bids have left it."""
+    sizes, size, is_open = [], 0, False
+    for event in events:
+        if event.kind is EventKind.WINDOW_OPEN:
+            size, is_open = 0, True
+        elif event.kind is EventKind.WINDOW_CLOSE:
+            sizes.append(size)
+            is_open = False
+        elif is_open and event.kind is EventKind.BID:
+            size += 1
+        elif is_open and event.kind is EventKind.EXPIRED:
+            size -= 1
+    return sizes
+
+
+def paired_difference(
+    records: Iterable[TaskRecord],
+    baseline: Iterable[TaskRecord],
+    value: Callable[[TaskRecord], float],
+    *,
+    confidence: float = 0.95,
+) -> Interval:
+    """Mean of value(record) - value(baseline record) over pairs of one (robot, task), with its CI.
+
+    Under one seed such a pair has the same scene, the same planner noise and the same service times
+    (common random numbers), so most of the spread between scenes cancels. Pairs of which the
+    horizon cut one off are left out.
+    """
+
+    def by_task(side: Iterable[TaskRecord]) -> dict[tuple[int, int], TaskRecord]:
+        return {(r.robot, r.task): r for r in side if r.status is not Status.CENSORED}
+
+    ours, theirs = by_task(records), by_task(baseline)
+    shared = sorted(ours.keys() & theirs.keys())
+    differences = [value(ours[key]) - value(theirs[key]) for key in shared]
+    return mean_interval(differences, confidence=confidence)
+
+
+def mean_interval(values: Sequence[float], *, confidence: float = 0.95) -> Interval:
+    """Mean and Student's t interval."""
+    n = len(values)
+    if n == 0:
+        return Interval(math.nan, math.nan, math.nan, 0)
+    mean = float(np.mean(values))
+    if n == 1:
+        return Interval(mean, math.nan, math.nan, 1)
+    half = t_quantile((1 + confidence) / 2, n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    return Interval(mean, mean - half, mean + half, n)
+
+
+def rate_interval(successes: int, n: int, *, confidence: float = 0.95) -> Interval:
+    """Rate and Wilson's score interval, which stays within 0..1 and is defined at both ends."""
+    if n == 0:
+        return Interval(math.nan, math.nan, math.nan, 0)
+    z = NormalDist().inv_cdf((1 + confidence) / 2)
+    rate = successes / n
+    centre = (rate + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * math.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n))
+    # At 0 and n the interval ends there exactly; rounding must not push it out.
+    low = 0.0 if successes == 0 else centre - half
+    high = 1.0 if successes == n else centre + half
+    return Interval(rate, low, high, n)
+
+
+def t_quantile(probability: float, dof: int) -> float:
+    """Quantile of Student's t for a probability in [0.5, 1) and a whole number of dof >= 1.
+
+    Bisection on the closed form of P(|T| < t) for whole dof (Abramowitz and Stegun 26.7.3 and
+    26.7.4), so that the fleet needs no statistics library.
+    """
+    target = 2 * probability - 1
+    low, high = 0.0, math.pi / 2  # of theta = atan(t / sqrt(dof))
+    for _ in range(60):
+        theta = (low + high) / 2
+        if _t_central(theta, dof) < target:
+            low = theta
+        else:
+            high = theta
+    return math.sqrt(dof) * math.tan((low + high) / 2)
+
+
+def _t_central(theta: float, dof: int) -> float:
+    """P(|T| < sqrt(dof) tan(theta))."""
+    odd = dof % 2
+    k = np.arange(1, (dof - odd) // 2)  # terms after the first
+    ratios = 2 * k / (2 * k + 1) if odd else (2 * k - 1) / (2 * k)
+    series = 1 + float(np.sum(np.cumprod(ratios * math.cos(theta) ** 2)))
+    if not odd:
+        return math.sin(theta) * series
+    tail = math.sin(theta) * math.cos(theta) * series if dof > 1 else 0.0
+    return (theta + tail) * 2 / math.pi

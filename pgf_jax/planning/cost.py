@@ -1,0 +1,134 @@
+"""Cost terms of a rollout (D3), for one rollout; the planner vmaps them.
+
+Axes: T knots, N objects, C contact slots.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from pgf_jax.physics import hand
+from pgf_jax.physics.engine import Rollout
+from pgf_jax.planning.config import Cost
+from pgf_jax.scene.scene import BACK_WALL_X, SIDE_WALL_Y
+
+SIDE_WALLS_FROM_X = 0.20  # m, where the shelf begins
+
+
+class Task(NamedTuple):
+    """What a segment is for."""
+
+    goal: jax.Array  # [] int32, the object to reach
+    pushing: jax.Array  # [] bool
+    pushed: jax.Array  # [] int32, q_o; any value while reaching
+    target: jax.Array  # [2] m, where q_o shall come to
+
+
+class Evaluation(NamedTuple):
+    """A rollout's cost and what it achieved."""
+
+    total: jax.Array  # []; +inf where the rollout is not finite
+    terms: jax.Array  # [5]: c_d (pushing: c_h), c_f, c_b, c_e, c_s
+    distance: jax.Array  # [] d(goal), or pushing |q_o - target|, m
+    feasible: jax.Array  # [] bool
+    finite: jax.Array  # [] bool
+
+
+def rotation(yaw: jax.Array) -> jax.Array:
+    """[..., 2, 2] rotation matrices."""
+    c, s = jnp.cos(yaw), jnp.sin(yaw)
+    return jnp.stack([jnp.stack([c, -s], -1), jnp.stack([s, c], -1)], -2)
+
+
+def end_effector(hand_pose: jax.Array) -> jax.Array:
+    """[..., 2] position of `ee` in the world, m, for [..., 3] hand poses."""
+    return hand_pose[..., :2] + rotation(hand_pose[..., 2]) @ jnp.asarray(hand.EE_POINT)
+
+
+def wrap(angle: jax.Array) -> jax.Array:
+    """The angle within (-pi, pi]."""
+    return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))
+
+
+def reach_distance(hand_pose: jax.Array, objects: jax.Array, cost: Cost) -> jax.Array:
+    """d(o) = sqrt(|ee - o|^2 + (0.09 bearing)^2) of each object: [..., 3], [..., N, 2] -> [..., N], m."""
+    to = objects - end_effector(hand_pose)[..., None, :]
+    bearing = wrap(
+        jnp.arctan2(to[..., 1], to[..., 0]) - hand_pose[..., 2, None] - hand.POINTING_YAW
+    )
+    return jnp.sqrt((to**2).sum(-1) + (cost.bearing_m_per_rad * bearing) ** 2)
+
+
+def force_cost(force: jax.Array, bodies: jax.Array, n_objects: int, cost: Cost) -> jax.Array:
+    """c_f of one knot from its contacts: [C] N and [C, 2] bodies.
+
+    `source`: per movable object and contact of it (a contact of two objects counts at both);
+    `paper`: every contact once, no threshold.
+    """
+    if cost.variant == "paper":
+        return cost.w_f_paper * force.sum(-1)
+    times = (bodies < n_objects).sum(-1)
+    over = jnp.where(force > cost.force_threshold, cost.w_f * force, 0.0)
+    return (times * jnp.where(jnp.isfinite(force), over, cost.force_not_finite)).sum(-1)
+
+
+def touches_shelf(hand_pose: jax.Array, gripper: jax.Array) -> jax.Array:
+    """Whether any capsule of the hand overlaps a wall: [3], [] -> [] bool."""
+    segments = hand.capsule_segments(gripper, jnp) @ rotation(hand_pose[2]).T + hand_pose[:2]
+    a, b, radii = segments[:, 0], segments[:, 1], jnp.asarray(hand.RADII)
+    back = jnp.maximum(a[:, 0], b[:, 0]) + radii > BACK_WALL_X
+
+    # Only what has entered the shelf can touch its sides: clip each axis to x >= the shelf's front.
+    def inside(p, q):
+        t = jnp.clip((SIDE_WALLS_FROM_X - p[:, 0]) / jnp.where(q[:, 0] == p[:, 0], 1.0, q[:, 0] - p[:, 0]), 0, 1)
+        return jnp.where((p[:, 0] < SIDE_WALLS_FROM_X)[:, None], p + t[:, None] * (q - p), p)
+
+    a, b = inside(a, b), inside(b, a)
+    entered = jnp.maximum(a[:, 0], b[:, 0]) >= SIDE_WALLS_FROM_X
+    side = jnp.maximum(jnp.abs(a[:, 1]), jnp.abs(b[:, 1])) + radii > SIDE_WALL_Y
+    return (back | (entered & side)).any()
+
+
+def evaluate(rollout: Rollout, gripper: jax.Array, task: Task, cost: Cost) -> Evaluation:
+    """Cost of one rollout.
+
+    Args:
+      rollout: unbatched ([T, N, 2] objects and so on).
+      gripper: [T] values at knot ends.
+      task: the segment's task.
+      cost: weights; static.
+    """
+    n = rollout.objects.shape[1]
+    last, pose = rollout.objects[-1], rollout.hand[-1]
+    each = jnp.arange(n)
+    d = reach_distance(pose, last, cost)  # [N]
+    ee_to_goal = jnp.linalg.norm(end_effector(pose) - last[task.goal])
+
+    if cost.variant == "paper":
+        c_d = cost.w_d * ee_to_goal
+    else:
+        c_d = jnp.where(d[task.goal] < cost.goal_radius, 1.0, cost.w_d) * d[task.goal]
+    to_target = jnp.linalg.norm(last[task.pushed] - task.target)
+    c_h = jnp.where(to_target < cost.target_radius, 1.0, cost.w_h) * to_target
+
+    exempt = jnp.where(task.pushing, task.pushed, task.goal)
+    c_b = jnp.where((d < cost.blocking_radius) & (each != exempt), cost.w_b + d, 0.0).sum()
+    c_f = force_cost(rollout.force, rollout.bodies, n, cost).sum()
+    if cost.variant == "paper":
+        c_e = c_s = jnp.zeros(())
+    else:
+        x, y = rollout.objects[..., 0], rollout.objects[..., 1]
+        over = (x < cost.edge_x[0]) | (x > cost.edge_x[1])
+        c_e = cost.w_edge * (over.sum() + ((y < cost.edge_y[0]) | (y > cost.edge_y[1])).sum())
+        c_s = cost.w_static * jax.vmap(touches_shelf)(rollout.hand, gripper).sum()
+
+    terms = jnp.stack([jnp.where(task.pushing, c_h, c_d), c_f, c_b, c_e, c_s]).astype(jnp.float32)
+    finite = (
+        jnp.isfinite(rollout.objects).all() & jnp.isfinite(rollout.hand).all() & jnp.isfinite(terms).all()
+    )
+    total = jnp.where(finite, terms.sum(), jnp.inf)
+    distance = jnp.where(task.pushing, to_target, d[task.goal])
+    arrived = distance < jnp.where(task.pushing, cost.target_radius, cost.goal_radius)
+    cheap = (c_b == 0) | task.pushing if cost.variant == "paper" else total <= cost.feasible_cost
+    return Evaluation(total, terms, distance, arrived & cheap & finite, finite)

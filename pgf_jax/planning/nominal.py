@@ -1,0 +1,76 @@
+"""Nominal trajectories (D4): straight lines of the end effector, for one robot; no randomness."""
+
+import jax
+import jax.numpy as jnp
+
+from pgf_jax.physics import hand
+from pgf_jax.physics.config import Physics
+from pgf_jax.planning.config import Cost
+from pgf_jax.planning.cost import end_effector, reach_distance, rotation, wrap
+
+REACH_SHORT = 0.04  # m, where a reach nominal stops before the goal
+OPEN_WITHIN = 0.15  # m, d(goal) under which the hand is open throughout
+CLOSED_SHARE = 0.6  # the last floor(0.6 T) knots of a reach are with the hand open
+PUSH_BEHIND = 0.07  # m, from the object, as seen from the target
+PUSH_SHORT = 0.05  # m, where a push nominal stops before the target
+
+
+def _follow(pose: jax.Array, waypoints: jax.Array, yaws: jax.Array, physics: Physics) -> jax.Array:
+    """[T, 3] velocities that bring `ee` to the [T, 2] waypoints, at the [T] yaws, knot by knot."""
+    base = waypoints - rotation(yaws) @ jnp.asarray(hand.EE_POINT)  # [T, 2]
+    poses = jnp.concatenate([pose[None], jnp.concatenate([base, yaws[:, None]], 1)])
+    return jnp.diff(poses, axis=0) / physics.knot_s
+
+
+def reach(
+    pose: jax.Array, objects: jax.Array, goal: jax.Array, physics: Physics, cost: Cost
+) -> tuple[jax.Array, jax.Array]:
+    """Straight to 0.04 m short of the goal, turning by half the goal's angle.
+
+    The angle is the goal's against the pointing direction as seen from the robot's base point. The
+    base moves so that `ee` is on the line at every knot's end whatever the turn.
+
+    Args:
+      pose: [3] hand pose at the start.
+      objects: [N, 2] centres.
+      goal: [] index of the goal.
+      physics: static; gives T and the knot's duration.
+      cost: static; gives d(goal).
+
+    Returns:
+      [T, 3] velocities and [T] gripper values.
+    """
+    t = physics.knots
+    share = jnp.arange(1, t + 1) / t
+    ee, to = end_effector(pose), objects[goal] - end_effector(pose)
+    length = jnp.linalg.norm(to)
+    travel = to / length * (length - REACH_SHORT)
+    seen = objects[goal] - pose[:2]
+    turn = 0.5 * wrap(jnp.arctan2(seen[1], seen[0]) - pose[2] - hand.POINTING_YAW)
+    controls = _follow(pose, ee + share[:, None] * travel, pose[2] + share * turn, physics)
+    closed_knots = t - int(CLOSED_SHARE * t)
+    near = reach_distance(pose, objects, cost)[goal] < OPEN_WITHIN
+    closed = (jnp.arange(t) < closed_knots) & ~near
+    return controls, jnp.where(closed, hand.GRIPPER_CLOSED, 0.0)
+
+
+def push(
+    pose: jax.Array, objects: jax.Array, pushed: jax.Array, target: jax.Array, physics: Physics
+) -> tuple[jax.Array, jax.Array]:
+    """Half the knots to 0.07 m behind the object as seen from the target, half towards the target.
+
+    Args and returns as `reach`; `target` is [2] in metres, the hand is closed.
+    """
+    t = physics.knots
+    o = objects[pushed]
+    along = (target - o) / jnp.maximum(jnp.linalg.norm(target - o), 1e-6)
+    ee, behind, stop = end_effector(pose), o - PUSH_BEHIND * along, target - PUSH_SHORT * along
+    first, second = t // 2, t - t // 2
+    waypoints = jnp.concatenate(
+        [
+            ee + (jnp.arange(1, first + 1) / first)[:, None] * (behind - ee),
+            behind + (jnp.arange(1, second + 1) / second)[:, None] * (stop - behind),
+        ]
+    )
+    yaws = jnp.full(t, 1.0) * pose[2]
+    return _follow(pose, waypoints, yaws, physics), jnp.full(t, hand.GRIPPER_CLOSED)

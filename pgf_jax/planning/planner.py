@@ -1,0 +1,285 @@
+"""The planner (Alg. 1, D4): init -> propose -> roll out -> absorb, until feasible. Core 1.
+
+Functions are written for one robot and vmapped over L lanes at the edge; the physics in between is
+an engine's. A `Search` is one segment's state, a pytree of arrays; nothing in it is mutated.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pgf_jax.errors import BadInput
+from pgf_jax.physics import hand
+from pgf_jax.physics.engine import Engine, Rollout, World
+from pgf_jax.planning import nominal
+from pgf_jax.planning.config import Planner as Config
+from pgf_jax.planning.cost import Evaluation, Task, evaluate
+from pgf_jax.planning.types import Push
+
+HISTORY = 3  # P: cost terms of the best after each of the last P iterations
+RETREAT_M, RETREAT_S = 0.07, 1.0
+
+
+class Search(NamedTuple):
+    """One segment's search. Shapes are one robot's; the planner stacks them over lanes."""
+
+    start: World  # where every rollout of the segment starts: [N, 2], [N, 2], [3], []
+    task: Task
+    gripper: jax.Array  # [T], fixed with the nominal
+    controls: jax.Array  # [T, 3] of the best so far (at first the nominal)
+    best: Rollout  # of the best so far: [T, N, 2] and so on
+    value: Evaluation  # of the best so far
+    iteration: jax.Array  # [] int32, iterations done in this segment, the nominal's not counted; -1 before it
+    last_cost: jax.Array  # [] c_(i-1); c_0 counts as 0
+    stuck_count: jax.Array  # [] int32, n
+    history: jax.Array  # [P, 3] (c_d, c_f, c_b) of the best, latest last; nan where there is none yet
+    non_finite: jax.Array  # [] int32, rollouts of this segment whose cost was not finite
+
+
+class BatchPlanner:
+    """Plans for up to L robots in one call; what a lane holds never changes another lane's result."""
+
+    def __init__(self, engine: Engine, config: Config | None = None) -> None:
+        self.engine, self.config = engine, config or Config()
+        self._init_reach = jax.jit(self._reach)
+        self._init_push = jax.jit(self._push)
+        self._propose = jax.jit(jax.vmap(self._propose_one))
+        self._absorb = jax.jit(jax.vmap(self._absorb_one))
+        self._blend = jax.jit(jax.vmap(self._blend_one))
+        self._retreat = jax.jit(jax.vmap(self._retreat_one))
+
+    # -- segments ---------------------------------------------------------------------------------
+
+    def begin_reach(self, world: World, goal: int) -> Search:
+        """Start a reach segment from `world` (unbatched); nothing is rolled out yet."""
+        return _to_host(self._init_reach(_as_float32(world), np.int32(goal)))
+
+    def begin_push(self, world: World, goal: int, push: Push) -> Search:
+        """Start a push segment from `world` (unbatched)."""
+        if not 0 <= push.object < self.engine.n_objects:
+            raise BadInput(
+                f"push: object must be within 0..{self.engine.n_objects - 1}, got {push.object}"
+            )
+        target = np.array([push.x, push.y], np.float32)
+        return _to_host(
+            self._init_push(_as_float32(world), np.int32(goal), np.int32(push.object), target)
+        )
+
+    def go_on(self, search: Search) -> Search:
+        """Keep the trajectory, clear the stuck counter (a departure: the source restarts)."""
+        return search._replace(stuck_count=np.zeros_like(search.stuck_count))
+
+    def is_stuck(self, search: Search) -> bool:
+        """Whether the stuck counter has reached its limit."""
+        return bool(search.stuck_count >= self.config.stuck_count)
+
+    def terminate(self, search: Search) -> bool:
+        """Whether the best so far is feasible."""
+        return bool(search.value.feasible)
+
+    # -- iterations -------------------------------------------------------------------------------
+
+    def step(self, searches: Sequence[Search], keys: Sequence[np.ndarray]) -> list[Search]:
+        """One iteration of each search (its iteration 0, the nominal's rollout, where it has none).
+
+        Args:
+          searches: up to L segments, of any robots; the rest of the lanes is padded.
+          keys: one raw PRNG key ([2] uint32) each; consumed.
+
+        Returns:
+          The searches after the iteration, in order.
+        """
+        lanes, k = self.engine.lanes, self.config.rollouts
+        batch = _stack(_pad(searches, lanes))
+        noisy = self._propose(batch, np.stack(_pad(keys, lanes)))  # [L, K, T, 3]
+        rollout = self._roll(batch, noisy, k)
+        if self.config.update == "stomp":
+            blended = self._blend(batch, noisy, rollout)  # [L, 1, T, 3]
+            winner = self._roll(batch, blended, 1)
+            after = self._absorb(batch, blended, winner)
+        else:
+            after = self._absorb(batch, noisy, rollout)
+        return _unstack(_to_host(after), len(searches))
+
+    def retreat(self, searches: Sequence[Search]) -> list[World]:
+        """Execute each feasible push and retract 0.07 m straight back; the worlds that are there then.
+
+        The hand keeps its gripper and moves back along its pointing direction (D4). The push itself
+        has been rolled out: its end is the retreat's start.
+        """
+        lanes, k, physics = self.engine.lanes, self.config.rollouts, self.engine.physics
+        substeps = round(RETREAT_S / physics.substep_s / physics.knots)
+        duration = substeps * physics.knots * physics.substep_s
+        start, velocity = self._retreat(_stack(_pad(searches, lanes)))
+        controls = np.asarray(velocity)[:, None, None] * (RETREAT_M / duration)
+        controls = np.broadcast_to(controls, (lanes, k, physics.knots, 3))
+        gripper = np.broadcast_to(
+            np.asarray(start.gripper)[:, None, None], (lanes, k, physics.knots)
+        )
+        # The same batch shape as an iteration's, so that no second program is compiled.
+        start = jax.tree.map(lambda x: np.repeat(np.asarray(x), k, 0), start)
+        out = self.engine.rollout(start, _flat(controls), _flat(gripper), substeps)
+        out = jax.tree.map(lambda x: np.asarray(x, np.float32)[::k], out._replace(bodies=out.force))
+        worlds = World(out.objects[:, -1], out.velocities, out.hand[:, -1], start.gripper[::k])
+        return _unstack(worlds, len(searches))
+
+    def _roll(self, batch: Search, controls: jax.Array, k: int) -> Rollout:
+        """[L, k, T, 3] controls of a batch of searches -> [L, k, ...] rollouts."""
+        lanes = self.engine.lanes
+        start = jax.tree.map(lambda x: np.repeat(np.asarray(x), k, 0), batch.start)
+        gripper = np.repeat(np.asarray(batch.gripper), k, 0)
+        out = self.engine.rollout(start, _flat(controls), gripper, self.engine.physics.substeps)
+        return jax.tree.map(lambda x: x.reshape(lanes, k, *x.shape[1:]), _as_float32(out))
+
+    # -- one robot, traced ------------------------------------------------------------------------
+
+    def _begin(self, start: World, task: Task, controls: jax.Array, gripper: jax.Array) -> Search:
+        t, n = self.engine.physics.knots, self.engine.n_objects
+        c = self._contact_slots()
+        return Search(
+            start=start,
+            task=task,
+            gripper=gripper.astype(jnp.float32),
+            controls=controls.astype(jnp.float32),
+            best=Rollout(
+                jnp.broadcast_to(start.objects, (t, n, 2)),
+                jnp.broadcast_to(start.hand, (t, 3)),
+                start.velocities,
+                jnp.zeros((t, c)),
+                jnp.zeros((t, c, 2), jnp.int32),
+            ),
+            value=Evaluation(
+                jnp.float32(jnp.inf),
+                jnp.full(5, jnp.inf),
+                jnp.float32(jnp.inf),
+                jnp.array(False),
+                jnp.array(False),
+            ),
+            iteration=jnp.int32(-1),
+            last_cost=jnp.float32(0),
+            stuck_count=jnp.int32(0),
+            history=jnp.full((HISTORY, 3), jnp.nan),
+            non_finite=jnp.int32(0),
+        )
+
+    def _contact_slots(self) -> int:
+        from pgf_jax.physics.model import MAX_CONTACTS
+
+        return MAX_CONTACTS
+
+    def _reach(self, start: World, goal: jax.Array) -> Search:
+        task = Task(goal, jnp.array(False), goal, start.objects[goal])
+        controls, gripper = nominal.reach(
+            start.hand, start.objects, goal, self.engine.physics, self.config.cost
+        )
+        return self._begin(start, task, controls, gripper)
+
+    def _push(self, start: World, goal, pushed, target) -> Search:
+        task = Task(goal, jnp.array(True), pushed, target)
+        controls, gripper = nominal.push(
+            start.hand, start.objects, pushed, target, self.engine.physics
+        )
+        return self._begin(start, task, controls, gripper)
+
+    def _propose_one(self, search: Search, key: jax.Array) -> jax.Array:
+        """[K, T, 3] noisy trajectories from the best so far; K times the nominal at iteration 0."""
+        shape = (self.config.rollouts, *search.controls.shape)
+        noise = jnp.asarray(self.config.sigma) * jax.random.normal(key, shape)
+        return search.controls + jnp.where(search.iteration < 0, 0.0, noise)
+
+    def _evaluate(self, search: Search, rollout: Rollout) -> Evaluation:
+        return jax.vmap(lambda r: evaluate(r, search.gripper, search.task, self.config.cost))(rollout)
+
+    def _blend_one(self, search: Search, noisy: jax.Array, rollout: Rollout) -> jax.Array:
+        """STOMP's update: noise weighted by exp(-h (S - min S) / (max S - min S)); [1, T, 3].
+
+        S is the whole trajectory's cost: most of it falls due at the last knot.
+        """
+        total = self._evaluate(search, rollout).total  # [K]
+        finite = jnp.isfinite(total)
+        low = jnp.min(total, where=finite, initial=jnp.inf)
+        high = jnp.max(total, where=finite, initial=-jnp.inf)
+        spread = jnp.where(high > low, high - low, 1.0)
+        weight = jnp.where(finite, jnp.exp(-self.config.stomp_h * (total - low) / spread), 0.0)
+        weight = weight / jnp.maximum(weight.sum(), 1e-30)
+        delta = (weight[:, None, None] * (noisy - search.controls)).sum(0)
+        return (search.controls + delta)[None]
+
+    def _absorb_one(self, search: Search, noisy: jax.Array, rollout: Rollout) -> Search:
+        """The iteration's winner replaces the best where it is cheaper; then the stuck counter."""
+        config = self.config
+        values = self._evaluate(search, rollout)
+        winner = jnp.argmin(values.total)
+        take = lambda tree: jax.tree.map(lambda x: x[winner], tree)  # noqa: E731
+        c_i, best = values.total[winner], search.value.total
+        first = search.iteration < 0
+        better = (c_i < best) | first
+        keep = lambda new, old: jax.tree.map(lambda a, b: jnp.where(better, a, b), new, old)  # noqa: E731
+        value = keep(take(values), search.value)
+
+        n = jnp.where(c_i < best, 0, search.stuck_count)
+        no_progress = jnp.abs(c_i - search.last_cost) < config.stuck_change
+        # inf - inf: a segment without any finite rollout yet does not progress either.
+        far = ~(c_i - jnp.minimum(best, c_i) <= config.stuck_excess)
+        n = jnp.where(no_progress | far, n + 1, 0)
+
+        history = jnp.concatenate([search.history[1:], value.terms[None, :3]])
+        return search._replace(
+            controls=keep(noisy[winner], search.controls),
+            best=keep(take(rollout), search.best),
+            value=value,
+            iteration=search.iteration + 1,
+            last_cost=jnp.where(first, 0.0, c_i),
+            stuck_count=jnp.where(first, 0, n).astype(jnp.int32),
+            history=jnp.where(first, search.history, history),
+            non_finite=search.non_finite
+            + jnp.where(first, ~values.finite[0], (~values.finite).sum()).astype(jnp.int32),
+        )
+
+    def _retreat_one(self, search: Search) -> tuple[World, jax.Array]:
+        end = search.best
+        world = World(end.objects[-1], end.velocities, end.hand[-1], search.gripper[-1])
+        yaw = world.hand[2] + hand.POINTING_YAW
+        return world, jnp.stack([-jnp.cos(yaw), -jnp.sin(yaw), jnp.zeros(())])
+
+
+def start_world(positions: np.ndarray) -> World:
+    """The world as a task begins: robot at (0, 0, yaw 0), hand open, objects ([N, 2], m) at rest."""
+    n = len(positions)
+    return World(
+        np.asarray(positions, np.float32),
+        np.zeros((n, 2), np.float32),
+        np.zeros(3, np.float32),
+        np.float32(0),
+    )
+
+
+def _flat(x):
+    return np.asarray(x).reshape(-1, *np.shape(x)[2:])
+
+
+def _pad(items: Sequence, lanes: int) -> list:
+    if not 0 < len(items) <= lanes:
+        raise ValueError(f"{len(items)} lanes of work for an engine of {lanes}")
+    return [*items, *[items[0]] * (lanes - len(items))]
+
+
+def _as_float32(tree):
+    return jax.tree.map(
+        lambda x: x.astype(np.float32) if getattr(x, "dtype", None) == np.float64 else x, tree
+    )
+
+
+def _to_host(tree):
+    return jax.tree.map(np.asarray, tree)
+
+
+def _stack(trees: Sequence):
+    return jax.tree.map(lambda *xs: np.stack(xs), *trees)
+
+
+def _unstack(tree, count: int) -> list:
+    return [jax.tree.map(lambda x, i=i: x[i], tree) for i in range(count)]
