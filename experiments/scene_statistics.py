@@ -24,6 +24,8 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=1000, help="sampled scenes a class")
     parser.add_argument("--seed", type=int, default=0, help="the first of the seeds")
     args = parser.parse_args()
+    if args.count < 1:
+        parser.error(f"argument --count: expected 1 or more, got {args.count}")
     try:
         published = _by_class(load_scenes(args.directory)) if args.directory else {}
         print(COLUMNS)

@@ -115,14 +115,15 @@ def load(path: Path | str | Traversable) -> Checkpoint:
     if not source.is_file():
         raise BadInput(f"{source}: no such file, expected a predictor checkpoint (.msgpack)")
     outer = _unpack(source.read_bytes(), str(source))
-    if "version" not in outer:
-        raise BadInput(f"{source}: not a predictor checkpoint, it has no version")
-    if outer["version"] != VERSION:
-        raise BadInput(f"{source}: checkpoint version {outer['version']!r}, expected {VERSION}")
-    payload = outer.get("payload")
-    if not isinstance(payload, bytes):
-        raise BadInput(f"{source}: not a predictor checkpoint, it has no payload")
-    if hashlib.sha256(payload).hexdigest() != outer.get("sha256"):
+    version, digest, payload = (outer.get(field) for field in ("version", "sha256", "payload"))
+    # Types before values: a foreign file may hold arrays here, which do not compare to a bool.
+    if type(version) is not int:
+        raise BadInput(f"{source}: not a predictor checkpoint, it has no version number")
+    if version != VERSION:
+        raise BadInput(f"{source}: checkpoint version {version}, expected {VERSION}")
+    if type(payload) is not bytes or type(digest) is not str:
+        raise BadInput(f"{source}: not a predictor checkpoint, it has no payload with a digest")
+    if hashlib.sha256(payload).hexdigest() != digest:
         raise BadInput(f"{source}: corrupt checkpoint, its digest does not match its content")
     return _from_content(_unpack(payload, str(source)), str(source))
 
@@ -179,25 +180,25 @@ def _unpack(data: bytes, name: str) -> dict[str, Any]:
 def _from_content(content: dict[str, Any], name: str) -> Checkpoint:
     """Check the payload and build the checkpoint."""
     for field, kind in _FIELDS.items():
-        if not isinstance(content.get(field), kind):
+        if type(content.get(field)) is not kind:
             got = type(content[field]).__name__ if field in content else "nothing"
             raise BadInput(f"{name}: field {field} must be a {kind.__name__}, got {got}")
     if content["network"] not in NETWORKS:
         expected = " or ".join(NETWORKS)
         raise BadInput(f"{name}: network is {content['network']!r}, expected {expected}")
-    if content["features"] != list(FEATURES):
-        raise BadInput(
-            f"{name}: features are {content['features']}, expected {', '.join(FEATURES)}"
-        )
+    if not all(type(feature) is str for feature in content["features"]) or (
+        content["features"] != list(FEATURES)
+    ):
+        raise BadInput(f"{name}: the features are others than {', '.join(FEATURES)}")
     hidden = content["hidden"]
     if not hidden or not all(type(width) is int and width > 0 for width in hidden):
-        raise BadInput(f"{name}: hidden must be one or more positive widths, got {hidden}")
+        raise BadInput(f"{name}: hidden must be a list of one or more positive widths")
     for count in ("scenes", "rows"):
         if content[count] < 0:
             raise BadInput(f"{name}: {count} must not be negative, got {content[count]}")
     for figure, value in content["figures"].items():
-        if not isinstance(value, float) or not np.isfinite(value):
-            raise BadInput(f"{name}: figure {figure} must be a finite number, got {value!r}")
+        if type(value) is not float or not np.isfinite(value):
+            raise BadInput(f"{name}: figure {figure!r} must be a finite number")
 
     params = _check_params(content["params"], (len(FEATURES), *hidden, 1), name)
     for field in ("mean", "scale"):
@@ -222,7 +223,7 @@ def _from_content(content: dict[str, Any], name: str) -> Checkpoint:
 def _check_params(params: dict[str, Any], widths: tuple[int, ...], name: str) -> dict[str, Any]:
     layers = [f"Dense_{i}" for i in range(len(widths) - 1)]
     if set(params) != set(layers):
-        raise BadInput(f"{name}: layers are {sorted(params)}, expected {layers}")
+        raise BadInput(f"{name}: layers are {list(params)}, expected {layers}")
     checked = {}
     for i, layer in enumerate(layers):
         values = params[layer]

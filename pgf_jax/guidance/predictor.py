@@ -5,6 +5,8 @@ the cost of the best trajectory l = 10 reach iterations on out (`rows` defines b
 a robot bids is the difference of the two.
 """
 
+import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import linen as nn
-from flax import struct
 
 from pgf_jax.guidance.rows import FEATURES, history_features
 
@@ -37,7 +38,8 @@ class MLP(nn.Module):
         return nn.Dense(1, precision=jax.lax.Precision.HIGHEST)(x)[0]
 
 
-@struct.dataclass
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
 class Predictor:
     """A trained network with the normalisation of its input; a pytree.
 
@@ -51,7 +53,7 @@ class Predictor:
     params: Mapping[str, Any]
     mean: jax.Array  # [10]
     scale: jax.Array  # [10]
-    hidden: tuple[int, ...] = struct.field(pytree_node=False, default=HIDDEN)
+    hidden: tuple[int, ...] = dataclasses.field(default=HIDDEN, metadata={"static": True})
 
     def predict(self, features: np.ndarray | jax.Array) -> np.ndarray:
         """Predicted costs; nan where a feature is not finite (no history yet, say).
@@ -124,6 +126,11 @@ def normalisation(features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return mean.astype(np.float32), np.where(constant, 1.0, deviation).astype(np.float32)
 
 
+@functools.partial(jax.jit, static_argnums=1)
+def _init_params(key: jax.Array, hidden: tuple[int, ...]) -> dict[str, Any]:
+    return dict(MLP(hidden).init(key, jnp.zeros(len(FEATURES), jnp.float32))["params"])
+
+
 def init(
     key: jax.Array, features: np.ndarray, target: np.ndarray, *, hidden: tuple[int, ...] = HIDDEN
 ) -> Predictor:
@@ -140,9 +147,7 @@ def init(
     """
     mean, scale = normalisation(features)
     y = np.asarray(target, dtype=np.float64)
-    params: dict[str, Any] = dict(
-        MLP(hidden).init(key, jnp.zeros(len(FEATURES), jnp.float32))["params"]
-    )
+    params = _init_params(key, hidden)
     last = f"Dense_{len(hidden)}"
     spread = np.float32(y.std()) if y.std() > 0 else np.float32(1)
     params[last] = {

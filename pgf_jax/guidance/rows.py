@@ -55,9 +55,7 @@ class Rows:
     short: int = 0
 
 
-def history_features(
-    n_objects: int, history: Sequence[Sequence[float]] | np.ndarray
-) -> np.ndarray:
+def history_features(n_objects: int, history: Sequence[Sequence[float]] | np.ndarray) -> np.ndarray:
     """One row of features from a history, or nan where it is too short.
 
     Args:

@@ -81,7 +81,7 @@ def _rmse(predictor: Predictor, x: jax.Array, y: jax.Array, weight: jax.Array) -
     return jnp.sqrt(jnp.maximum(square, _MIN_SQUARE))
 
 
-@functools.partial(jax.jit, static_argnames=("batch", "learning_rate"))
+@functools.partial(jax.jit, static_argnames=("batch",))
 def _epoch(
     key: jax.Array,
     predictor: Predictor,
@@ -90,7 +90,7 @@ def _epoch(
     y: jax.Array,  # [M]
     *,
     batch: int,
-    learning_rate: float,
+    learning_rate: jax.Array | float,
 ) -> tuple[Predictor, Any]:
     """One pass over the rows in a fresh order; the key is consumed."""
     rows = len(y)
@@ -103,7 +103,7 @@ def _epoch(
         index, w = chosen
 
         def loss(params: Any) -> jax.Array:
-            return _rmse(predictor.replace(params=params), x[index], y[index], w)  # pyright: ignore
+            return _rmse(dataclasses.replace(predictor, params=params), x[index], y[index], w)
 
         slope = jax.grad(loss)(state.params)
         with jax.numpy_dtype_promotion("standard"):  # optax raises a float to an integer power
@@ -111,7 +111,7 @@ def _epoch(
         return _State(optax.apply_updates(state.params, update), moments), None
 
     state, _ = jax.lax.scan(step, _State(predictor.params, optimiser), (order, weight))
-    return predictor.replace(params=state.params), state.optimiser  # pyright: ignore
+    return dataclasses.replace(predictor, params=state.params), state.optimiser
 
 
 def fit(key: jax.Array, rows: Rows, config: TrainConfig) -> Trained:

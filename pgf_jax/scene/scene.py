@@ -91,8 +91,9 @@ def validate(scene: Scene) -> None:
     if len(outside):
         i = outside[0]
         raise BadInput(
-            f"scene {name}: object_{i + 1} at ({x[i]:g}, {y[i]:g}) is outside the shelf "
-            f"({FRONT_X:g} <= x <= {BACK_WALL_X - RADIUS:g}, |y| <= {SIDE_WALL_Y - RADIUS:g})"
+            f"scene {name}: object_{i + 1} at ({x[i]:g}, {y[i]:g}) is outside the shelf; "
+            f"expected {FRONT_X:g} <= x <= {BACK_WALL_X - RADIUS:g}, "
+            f"|y| <= {SIDE_WALL_Y - RADIUS:g}"
         )
     gap = np.linalg.norm(objects[:, None, :2] - objects[None, :, :2], axis=-1) - (r[:, None] + r)
     gap[np.tril_indices(len(objects))] = np.inf

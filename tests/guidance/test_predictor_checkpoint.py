@@ -1,0 +1,274 @@
+"""Checkpoints: exact round trips, and one line for every way a file can be bad."""
+
+import dataclasses
+import hashlib
+import pickle
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from flax import serialization
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pgf_jax.errors import BadInput
+from pgf_jax.guidance import checkpoint as ckpt
+from pgf_jax.guidance.checkpoint import Checkpoint, load, load_pair, save
+from pgf_jax.guidance.predictor import init
+
+
+def example(network="phi_auto", seed=0, hidden=(64, 32, 8)):
+    rng = np.random.default_rng(seed)
+    x = np.c_[np.full(40, 20.0), rng.gamma(1.0, 400.0, (40, 9))]
+    return Checkpoint(
+        network=network,
+        predictor=init(jax.random.key(seed), x, x[:, 9], hidden=hidden),
+        data_sha256="ab" * 32,
+        scenes=10,
+        rows=40,
+        figures={"rmse_train": 57.0625, "rmse_val": 58.56},
+    )
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "phi_auto.msgpack"
+    save(path, example())
+    return path.read_bytes()
+
+
+def assert_bad(path, match):
+    with pytest.raises(BadInput, match=match) as error:
+        load(path)
+    assert str(error.value).startswith(str(path))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("hidden", [(64, 32, 8), (64, 32, 16)])
+def test_round_trip_is_exact(tmp_path, hidden):
+    path = tmp_path / "deep" / "phi_human.msgpack"
+    saved = example("phi_human", 3, hidden)
+    save(path, saved)
+    loaded = load(path)
+    a, b = saved.predictor, loaded.predictor
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    for old, new in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        assert np.asarray(old).tobytes() == np.asarray(new).tobytes()
+    x = np.random.default_rng(0).gamma(1.0, 400.0, (5, 10))
+    assert a.predict(x).tobytes() == b.predict(x).tobytes()
+    for field in ("network", "data_sha256", "scenes", "rows", "figures"):
+        assert getattr(loaded, field) == getattr(saved, field)
+    assert loaded.predictor.hidden == hidden
+    save(tmp_path / "again.msgpack", loaded)
+    assert (tmp_path / "again.msgpack").read_bytes() == path.read_bytes()
+    assert [p.name for p in path.parent.iterdir()] == ["phi_human.msgpack"]
+
+
+def test_missing(tmp_path):
+    assert_bad(tmp_path / "phi_auto.msgpack", "no such file")
+    assert_bad(tmp_path, "no such file")
+
+
+def test_truncated_anywhere(tmp_path, whole):
+    path = tmp_path / "phi_auto.msgpack"
+    for size in [*range(0, len(whole), 61), *range(120), len(whole) - 1]:
+        path.write_bytes(whole[:size])
+        assert_bad(path, "truncated or corrupt|not a predictor checkpoint")
+    path.write_bytes(whole + b"\0")
+    assert_bad(path, "truncated or corrupt")
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_any_flipped_bit_is_found(tmp_path_factory, whole, data):
+    path = tmp_path_factory.getbasetemp() / "flipped.msgpack"
+    # The envelope is a few dozen bytes of many thousands: look there as often as inside.
+    at = data.draw(st.one_of(st.integers(0, 120), st.integers(0, len(whole) - 1)))
+    bit = 1 << data.draw(st.integers(0, 7))
+    path.write_bytes(whole[:at] + bytes([whole[at] ^ bit]) + whole[at + 1 :])
+    assert_bad(path, None)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.binary(max_size=200))
+def test_foreign_bytes(tmp_path_factory, content):
+    path = tmp_path_factory.getbasetemp() / "foreign.msgpack"
+    path.write_bytes(content)
+    assert_bad(path, None)
+
+
+class _Loud:
+    def __reduce__(self):
+        return (pytest.fail, ("a checkpoint was unpickled",))
+
+
+def test_a_pickle_is_refused_unopened(tmp_path):
+    path = tmp_path / "phi_auto.msgpack"
+    path.write_bytes(pickle.dumps(_Loud()))
+    assert_bad(path, "truncated or corrupt|not a predictor")
+
+
+def tampered(path, whole, change):
+    """Rewrite the payload with a right digest, so that only the content is wrong."""
+    outer = serialization.msgpack_restore(whole)
+    assert isinstance(outer, dict)
+    content = serialization.msgpack_restore(outer["payload"])
+    # Arrays come back read-only.
+    content = jax.tree.map(lambda a: a.copy() if isinstance(a, np.ndarray) else a, content)
+    change(content)
+    payload = serialization.msgpack_serialize(content)
+    digest = hashlib.sha256(payload).hexdigest()
+    outer = {"version": 1, "sha256": digest, "payload": payload}
+    path.write_bytes(serialization.msgpack_serialize(outer))
+
+
+def put(*where_and_value):
+    *where, last, value = where_and_value
+
+    def change(content):
+        for key in where:
+            content = content[key]
+        content[last] = value
+
+    return change
+
+
+def remove(*where):
+    def change(content):
+        for key in where[:-1]:
+            content = content[key]
+        del content[where[-1]]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            put("params", "Dense_1", "kernel", np.zeros((64, 31), np.float32)),
+            r"Dense_1 kernel has shape \(64, 31\), expected \(64, 32\)",
+        ),
+        (
+            put("params", "Dense_3", "bias", np.zeros((1, 1), np.float32)),
+            r"Dense_3 bias has shape \(1, 1\), expected \(1,\)",
+        ),
+        (put("mean", np.zeros(9, np.float32)), r"mean has shape \(9,\), expected \(10,\)"),
+        (put("mean", np.zeros(10)), "mean must be a float32 array, got float64"),
+        (put("scale", np.zeros(10, np.float32)), "scale must be positive, got 0"),
+        (put("scale", 1, np.float32(np.inf)), "scale holds a number that is not finite"),
+        (put("params", "Dense_0", "kernel", 2, np.float32(np.nan)), "Dense_0 kernel holds a"),
+        (put("params", "Dense_2", "bias", [0.0] * 8), "Dense_2 bias must be a float32 array"),
+        (put("params", "Dense_2", [1]), "Dense_2 must hold a kernel and a bias"),
+        (remove("params", "Dense_2", "bias"), "Dense_2 must hold a kernel and a bias"),
+        (remove("params", "Dense_3"), "layers are"),
+        (put("params", "Dense_4", {}), "layers are"),
+        (put("hidden", [64, 32, 16]), r"Dense_2 kernel has shape \(32, 8\), expected \(32, 16\)"),
+        (put("hidden", [64, -32, 8]), "hidden must be a list of one or more positive widths"),
+        (put("hidden", []), "hidden must be a list of one or more positive widths"),
+        (put("features", ["n_objects"]), "the features are others than"),
+        (put("features", [np.zeros(2, np.float32)] * 10), "the features are others than"),
+        (put("figures", "rmse_val", np.zeros(2)), "figure 'rmse_val' must be a finite number"),
+        (put("hidden", [np.zeros(2)]), "hidden must be a list of one or more positive widths"),
+        (put("network", "phi_best"), "network is 'phi_best', expected phi_auto or phi_human"),
+        (put("rows", -1), "rows must not be negative, got -1"),
+        (put("figures", "rmse_val", float("nan")), "figure 'rmse_val' must be a finite number"),
+        (put("figures", "rmse_val", "good"), "figure 'rmse_val' must be a finite number"),
+        *((remove(field), f"field {field} must be a .*, got nothing") for field in ckpt._FIELDS),
+        *((put(field, None), f"field {field} must be a") for field in ckpt._FIELDS),
+    ],
+)
+def test_wrong_content(tmp_path, whole, change, message):
+    path = tmp_path / "phi_auto.msgpack"
+    tampered(path, whole, change)
+    assert_bad(path, message)
+
+
+def test_untampered_content_loads(tmp_path, whole):
+    tampered(tmp_path / "phi_auto.msgpack", whole, lambda content: None)
+    assert (tmp_path / "phi_auto.msgpack").read_bytes() == whole
+    load(tmp_path / "phi_auto.msgpack")
+
+
+@pytest.mark.parametrize(
+    ("outer", "message"),
+    [
+        ({"version": 2, "sha256": "", "payload": b""}, "checkpoint version 2, expected 1"),
+        ({"version": "1", "sha256": "", "payload": b""}, "no version number"),
+        ({"sha256": "", "payload": b""}, "no version"),
+        ({"version": 1, "sha256": ""}, "no payload"),
+        ({"version": 1, "sha256": "", "payload": b"x"}, "corrupt checkpoint"),
+        ({"version": 1, "payload": b"x"}, "no payload with a digest"),
+        ({"version": np.zeros(2)}, "no version number"),
+        ({"version": 1, "sha256": np.zeros(2), "payload": b"x"}, "no payload with a digest"),
+        ([1], "expected a mapping"),
+    ],
+)
+def test_wrong_envelope(tmp_path, outer, message):
+    path = tmp_path / "phi_auto.msgpack"
+    path.write_bytes(serialization.msgpack_serialize(outer))
+    assert_bad(path, message)
+
+
+def test_what_would_not_load_is_not_saved(tmp_path):
+    path = tmp_path / "phi_auto.msgpack"
+    good = example()
+    save(path, good)
+    before = path.read_bytes()
+    bad = dataclasses.replace(good, figures={"rmse_val": float("nan")})
+    with pytest.raises(BadInput, match="figure 'rmse_val'"):
+        save(path, bad)
+    nan = dataclasses.replace(good.predictor, mean=good.predictor.mean * np.float32(np.nan))
+    with pytest.raises(BadInput, match="mean holds a number that is not finite"):
+        save(path, dataclasses.replace(good, predictor=nan))
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["phi_auto.msgpack"]
+
+
+def save_pair(folder, seed=0):
+    save(folder / "phi_auto.msgpack", example("phi_auto", seed))
+    save(folder / "phi_human.msgpack", example("phi_human", seed + 1))
+
+
+def test_load_pair(tmp_path):
+    save_pair(tmp_path)
+    auto, human = load_pair(tmp_path)
+    assert (auto.network, human.network) == ("phi_auto", "phi_human")
+    (tmp_path / "phi_human.msgpack").write_bytes((tmp_path / "phi_auto.msgpack").read_bytes())
+    with pytest.raises(BadInput, match=r"phi_human\.msgpack: holds phi_auto, expected phi_human"):
+        load_pair(tmp_path)
+    (tmp_path / "phi_human.msgpack").unlink()
+    with pytest.raises(BadInput, match=r"phi_human\.msgpack: no such file"):
+        load_pair(str(tmp_path))
+    with pytest.raises(BadInput, match="nowhere: no such folder, expected one with phi_auto"):
+        load_pair(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_shipped_pair(tmp_path, monkeypatch, installed):
+    """In the wheel the checkpoints lie inside the package, in a source tree beside it."""
+    package = tmp_path / "pgf_jax"
+    package.mkdir()
+    monkeypatch.setattr(ckpt.resources, "files", lambda name: tmp_path / name)
+    with pytest.raises(BadInput, match="no shipped checkpoints"):
+        load_pair()
+    save_pair(tmp_path / "checkpoints", seed=5)  # someone else's, unless this is a source tree
+    if installed:
+        save_pair(package / "checkpoints", seed=7)
+        expected = example("phi_auto", 7)
+    else:
+        with pytest.raises(BadInput, match="no shipped checkpoints"):
+            load_pair()
+        (tmp_path / "pyproject.toml").touch()
+        expected = example("phi_auto", 5)
+    auto, _ = load_pair(None)
+    np.testing.assert_array_equal(auto.predictor.mean, expected.predictor.mean)
+
+
+def test_shipped_pair_of_this_checkout_loads():
+    folder = Path(__file__).parents[2] / "checkpoints"
+    if not any(folder.glob("*.msgpack")):
+        pytest.skip("nothing has been trained yet")
+    auto, human = load_pair()
+    assert min(auto.rows, human.rows) > 0
