@@ -186,16 +186,15 @@ def busy_ns(events: Iterable[Event]) -> int:
 
 def window_sizes(events: Iterable[Event]) -> list[int]:
     """How many bids each window held when it closed, in order; expired bids have left it."""
-    sizes, size, is_open = [], 0, False
+    sizes, size = [], 0
     for event in events:
         if event.kind is EventKind.WINDOW_OPEN:
-            size, is_open = 0, True
+            size = 0
         elif event.kind is EventKind.WINDOW_CLOSE:
             sizes.append(size)
-            is_open = False
-        elif is_open and event.kind is EventKind.BID:
+        elif event.kind is EventKind.BID:
             size += 1
-        elif is_open and event.kind is EventKind.EXPIRED:
+        elif event.kind is EventKind.EXPIRED:
             size -= 1
     return sizes
 

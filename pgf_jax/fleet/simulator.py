@@ -302,7 +302,6 @@ class Fleet:
         self._calendar.schedule(end_ns, Order.EXECUTION_END, run.robot)
 
     def _end_task(self, run: Run, status: Status) -> None:
-        self._calendar.cancel(run.robot)
         self.records.append(run.record(status, self.now_ns))
         self._log(EventKind.TASK_END, run, outcome=status)
         more = self._next_task[run.robot] < self.config.tasks

@@ -21,7 +21,8 @@ class Physics:
     armature: float = 0.1
     damping: float = 0.5
     object_friction: float = 0.3
-    hand_friction: float = 0.4
+    hand_friction: float = 1.0  # of palm and fingers: MuJoCo's default, which the authors' keep
+    finger_creep: float = 1.0  # share of the authors' fingers' surface creep (`hand.CREEP`)
     wall_friction: float = 0.5
 
     @property

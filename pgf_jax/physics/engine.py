@@ -100,7 +100,9 @@ def make_engine(
     if name not in _ENGINES:
         raise BadInput(f"unknown engine {name!r}: expected one of {', '.join(engine_names())}")
     if n_objects < 1 or lanes < 1:
-        raise BadInput(f"engine {name}: n_objects and lanes must be positive, got {n_objects}, {lanes}")
+        raise BadInput(
+            f"engine {name}: n_objects and lanes must be positive, got {n_objects}, {lanes}"
+        )
     make = _ENGINES[name]
     if isinstance(make, str):
         module, attribute = make.split(":")

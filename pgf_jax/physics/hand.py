@@ -64,6 +64,38 @@ RADII = np.array([c[5] for c in CAPSULES])  # [C] metres
 N_CAPSULES = len(CAPSULES)
 
 
+# Bodies of the model: the palm, and a body for each finger, which turns with the palm but whose
+# surface creeps (see below). [C] index into BODIES.
+BODIES = ("palm", "right", "left")
+CAPSULE_BODY = np.array([BODIES.index(c[0].split("_")[0]) for c in CAPSULES])
+
+# In the authors' world the fingers' poses are set and their velocities zeroed before every substep,
+# while their links press on each other and on their joint limits. Within a substep they therefore
+# accelerate, and a contact feels that as a surface velocity: acceleration over the contact's damping
+# (b = 2 / (dmax timeconst) = 1000 / s there). It drags what touches an open finger's tip outwards at
+# up to 0.1 m/s, as fast as the hand moves. Measured there with the hand alone, the follower link's
+# twist: gripper, then (vx, vy, wz) at the hand's origin of the right and of the left finger.
+CREEP = np.array(
+    [
+        [0, 0.0736, -0.1937, 1.1814, 0.0936, 0.1904, -1.2110],
+        [2, 0.0035, -0.0069, 0.0414, 0.0050, 0.0097, -0.0635],
+        [20, 0.0004, -0.0084, 0.0950, 0.0018, 0.0107, -0.1114],
+        [40, -0.0073, 0.0170, -0.0379, -0.0084, -0.0143, 0.0241],
+        [85, -0.0179, 0.0542, -0.1757, -0.0230, -0.0523, 0.1754],
+        [128, -0.0281, 0.1153, -0.4756, -0.0394, -0.1132, 0.4825],
+        [170, -0.0301, 0.1559, -0.6192, -0.0461, -0.1559, 0.6425],
+        [212, -0.0284, 0.2017, -0.7944, -0.0497, -0.2040, 0.8340],
+        [255, -0.0225, 0.2535, -1.0099, -0.0499, -0.2584, 1.0642],
+    ]
+)
+
+
+def creep(gripper: Any, xp: ModuleType = np) -> Any:
+    """[6] surface twist of the right and the left finger in the hand's frame: m/s, m/s, rad/s each."""
+    knots, values = xp.asarray(CREEP[:, 0]), xp.asarray(CREEP[:, 1:])
+    return xp.stack([xp.interp(gripper, knots, values[:, i]) for i in range(values.shape[1])])
+
+
 def capsule_segments(gripper: Any, xp: ModuleType = np) -> Any:
     """The capsules' axes in the hand's frame.
 

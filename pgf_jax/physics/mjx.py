@@ -8,7 +8,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-with contextlib.redirect_stdout(io.StringIO()):  # it prints that Warp, an optional backend, is absent
+with contextlib.redirect_stdout(
+    io.StringIO()
+):  # it prints that Warp, an optional backend, is absent
     from mujoco import mjx
 
 from pgf_jax.physics import hand, model
@@ -55,12 +57,20 @@ class MjxEngine:
             geom_pos=self._model.geom_pos.at[self._hand_geoms].set(positions),
             geom_quat=self._model.geom_quat.at[self._hand_geoms].set(quats),
         )
-        return mjx.step(posed, data.replace(qvel=data.qvel.at[: model.HAND_DOFS].set(velocity)))
+        speeds = model.kinematic_velocity(velocity, gripper, self.physics, jnp)
+        fingers = slice(model.HAND_DOFS, model.KINEMATIC_DOFS)
+        return mjx.step(
+            posed,
+            data.replace(
+                qpos=data.qpos.at[fingers].set(0.0),
+                qvel=data.qvel.at[: model.KINEMATIC_DOFS].set(speeds),
+            ),
+        )
 
     def _rollout(self, start: World, controls, gripper, substeps) -> Rollout:
-        dofs = model.HAND_DOFS
+        dofs = model.KINEMATIC_DOFS
         data = self._data.replace(
-            qpos=jnp.concatenate([start.hand, start.objects.ravel()]),
+            qpos=jnp.concatenate([start.hand, jnp.zeros(model.FINGER_DOFS), start.objects.ravel()]),
             qvel=jnp.concatenate([jnp.zeros(dofs), start.velocities.ravel()]),
         )
 
@@ -74,7 +84,7 @@ class MjxEngine:
             data = jax.lax.fori_loop(0, substeps, body, data)
             force, bodies = self._contacts(data)
             objects = data.qpos[dofs:].reshape(-1, 2)
-            return (data, target), (objects, data.qpos[:dofs], force, bodies)
+            return (data, target), (objects, data.qpos[: model.HAND_DOFS], force, bodies)
 
         (data, _), (objects, hands, force, bodies) = jax.lax.scan(
             knot, (data, start.gripper), (controls, gripper)

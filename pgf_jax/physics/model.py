@@ -1,11 +1,15 @@
 """The one planar MJCF, compiled once per (physics, number of objects): every engine's constants.
 
 The plane z = 0 seen from above: the hand is a kinematic body on two slides and a hinge (an armature
-so large that contacts cannot slow it; its velocity is written at every knot), objects are spheres on
-two slides, walls are planes. Table friction is the joints' frictionloss (D2).
+so large that contacts cannot slow it; engines write its velocity), its fingers are bodies of the same
+kind whose joints stay at zero and only lend their surfaces a velocity (`hand.CREEP`). Finger poses
+follow the gripper through their geoms' poses. Objects are spheres on two slides, walls are planes.
+Table friction is the joints' frictionloss (D2).
 """
 
 import functools
+from types import ModuleType
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,6 +19,10 @@ from pgf_jax.physics.config import Physics
 from pgf_jax.scene.scene import BACK_WALL_X, RADIUS, SIDE_WALL_Y
 
 HAND_DOFS = 3  # x, y, yaw
+FINGER_DOFS = (
+    6  # (x, y, yaw) of the right and the left finger: held at zero, only their speed counts
+)
+KINEMATIC_DOFS = HAND_DOFS + FINGER_DOFS
 KINEMATIC_ARMATURE = 1e6  # 100 N then change the hand's velocity by 4e-5 m/s within a knot
 # No scene among the published ones had more than 20 simultaneous contacts.
 MAX_CONTACTS = 24
@@ -25,11 +33,23 @@ def mjcf(physics: Physics, n_objects: int) -> str:
     soft = f'solref="{physics.solref_timeconst} 1" solimp="{physics.impedance} {physics.impedance}"'
     positions, quats = hand.capsule_poses(np.float64(0.0))
     lengths = np.linalg.norm(np.diff(hand.capsule_segments(np.float64(0.0)), axis=1)[:, 0], axis=-1)
-    capsules = "\n".join(
+    capsules = [
         f'<geom class="hand" size="{r} {h / 2}" pos="{" ".join(map(str, p))}"'
         f' quat="{" ".join(map(str, q))}"/>'
         for r, h, p, q in zip(hand.RADII, lengths, positions, quats, strict=True)
-    )
+    ]
+
+    def kinematic_body(name: str, inner: str = "") -> str:
+        of_body = hand.CAPSULE_BODY == hand.BODIES.index(name)
+        geoms = "\n".join(c for c, own in zip(capsules, of_body, strict=True) if own)
+        return f"""<body name="{name}" {'sleep="never"' if name == "palm" else ""}>
+      <inertial pos="0 0 0" mass="124" diaginertia="1 1 1"/>
+      <joint class="hand" type="slide" axis="1 0 0"/>
+      <joint class="hand" type="slide" axis="0 1 0"/>
+      <joint class="hand" type="hinge" axis="0 0 1"/>
+      {geoms}{inner}</body>"""
+
+    fingers = kinematic_body("right") + kinematic_body("left")
     objects = "\n".join(
         f'<body name="object_{i + 1}" pos="0 0 0"><geom class="object" name="object_{i + 1}"/>'
         '<joint class="object" axis="1 0 0"/><joint class="object" axis="0 1 0"/></body>'
@@ -66,13 +86,7 @@ def mjcf(physics: Physics, n_objects: int) -> str:
     <geom class="wall" name="back" pos="{BACK_WALL_X} 0 0" zaxis="-1 0 0"/>
     <geom class="wall" name="left" pos="0 {SIDE_WALL_Y} 0" zaxis="0 -1 0"/>
     <geom class="wall" name="right" pos="0 {-SIDE_WALL_Y} 0" zaxis="0 1 0"/>
-    <body name="hand" sleep="never">
-      <inertial pos="0 0 0" mass="124" diaginertia="1 1 1"/>
-      <joint class="hand" type="slide" axis="1 0 0"/>
-      <joint class="hand" type="slide" axis="0 1 0"/>
-      <joint class="hand" type="hinge" axis="0 0 1"/>
-      {capsules}
-    </body>
+    {kinematic_body("palm", fingers)}
     {objects}
   </worldbody>
 </mujoco>"""
@@ -84,15 +98,16 @@ def compile_model(physics: Physics, n_objects: int) -> mujoco.MjModel:
     model = mujoco.MjModel.from_xml_string(mjcf(physics, n_objects))
     # Solver tolerances scale with the mean inertia; the hand's huge armature must not loosen them.
     model.stat.meaninertia = physics.mass + physics.armature
-    # The broad phase boxes each body once; the fingers move, so the hand's box holds every pose.
-    root = model.body_bvhadr[model.body("hand").id]
-    model.bvh_aabb[root] = np.array([0.1, 0.0, 0.0, 0.25, 0.2, 0.1])
+    # The broad phase boxes each body once; the fingers move, so a box holds every pose.
+    for name in hand.BODIES:
+        root = model.body_bvhadr[model.body(name).id]
+        model.bvh_aabb[root] = np.array([0.1, 0.0, 0.0, 0.25, 0.2, 0.1])
     return model
 
 
 def hand_geoms(model: mujoco.MjModel) -> np.ndarray:
     """[C] geom ids of the hand's capsules, in the order of `hand.CAPSULES`."""
-    return np.flatnonzero(model.geom_bodyid == model.body("hand").id)
+    return np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE)
 
 
 def geom_bodies(model: mujoco.MjModel, n_objects: int) -> np.ndarray:
@@ -102,3 +117,8 @@ def geom_bodies(model: mujoco.MjModel, n_objects: int) -> np.ndarray:
     for i in range(n_objects):
         codes[model.geom(f"object_{i + 1}").id] = i
     return codes
+
+
+def kinematic_velocity(velocity: Any, gripper: Any, physics: Physics, xp: ModuleType = np) -> Any:
+    """[9] speeds of the kinematic joints: the hand's [3], then the fingers' surface creep [6]."""
+    return xp.concatenate([xp.asarray(velocity), physics.finger_creep * hand.creep(gripper, xp)])

@@ -75,25 +75,23 @@ class NativeEngine:
         return out
 
     def _one(self, m, d, start, controls, gripper, substeps, out: Rollout, i: int) -> None:
-        dofs = model.HAND_DOFS
+        base, dofs = model.HAND_DOFS, model.KINEMATIC_DOFS
         mujoco.mj_resetData(m, d)
-        d.qpos[:dofs], d.qpos[dofs:] = start.hand[i], start.objects[i].ravel()
+        d.qpos[:base], d.qpos[dofs:] = start.hand[i], start.objects[i].ravel()
         d.qvel[dofs:] = start.velocities[i].ravel()
         before = start.gripper[i]
-        self._pose_fingers(m, before)
         for k, (velocity, target) in enumerate(zip(controls[i], gripper[i], strict=True)):
-            if target == before:
-                self._pose_fingers(m, target)
-                d.qvel[:dofs] = velocity
-                mujoco.mj_step(m, d, nstep=substeps)
-            else:
-                for s in range(substeps):
-                    self._pose_fingers(m, before + (target - before) * s / substeps)
-                    d.qvel[:dofs] = velocity
-                    mujoco.mj_step(m, d)
+            for s in range(substeps):
+                if s == 0 or target != before:
+                    now = before + (target - before) * s / substeps
+                    self._pose_fingers(m, now)
+                    speeds = model.kinematic_velocity(velocity, now, self.physics)
+                d.qpos[base:dofs] = 0.0
+                d.qvel[:dofs] = speeds
+                mujoco.mj_step(m, d)
             before = target
             out.objects[i, k] = d.qpos[dofs:].reshape(-1, 2)
-            out.hand[i, k] = d.qpos[:dofs]
+            out.hand[i, k] = d.qpos[:base]
             self._contacts(m, d, out.force[i, k], out.bodies[i, k])
         out.velocities[i] = d.qvel[dofs:].reshape(-1, 2)
 

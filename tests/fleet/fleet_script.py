@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from pgf_jax.fleet import Fleet, FleetConfig, IterationResult, Work
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
@@ -69,12 +70,13 @@ def run(
     inputs: Mapping[tuple[int, int, int], Push | None] | None = None,
     service: float = 8.0,
     speeds: tuple[float, ...] | None = None,
-    **config,
+    **config: Any,
 ) -> tuple[Fleet, StubRobots]:
     """Run one fleet of scripted robots to its end; one task a robot unless said."""
     robots = scripted(script, inputs)
+    config.setdefault("tasks", 1)
     fleet = Fleet(
-        FleetConfig(**({"tasks": 1} | config)),
+        FleetConfig(**config),
         robots,
         service=Constant(service),
         compute=None if speeds is None else Speeds(speeds),

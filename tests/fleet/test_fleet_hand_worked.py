@@ -6,7 +6,8 @@ import math
 import pytest
 from fleet_script import PUSH, log, run
 
-from pgf_jax.fleet import TaskRecord
+from pgf_jax.fleet import Fleet, FleetConfig, TaskRecord
+from pgf_jax.fleet.stub import StubRobots, drive, outcome
 
 
 def test_two_tasks_without_help():
@@ -143,18 +144,14 @@ def test_a_push_iteration_may_end_at_the_limit_but_not_after_it(limit, iteration
 def test_a_push_has_no_more_time_than_the_task():
     # Served from 1.5 to 9.5; the push's iterations end at 11, 14, 17 and the next would at 20.
     # The task ends at 18: the push is dropped at 17 and the new nominal, till 18.5, does not fit.
-    fleet, robots = run(
-        {0: "s ."}, policy="or-hitl", inputs={(0, 0, 0): PUSH}, task_limit_s=18.0
-    )
+    fleet, _ = run({0: "s ."}, policy="or-hitl", inputs={(0, 0, 0): PUSH}, task_limit_s=18.0)
     assert log(fleet)[-3:] == [
         "17 iteration r0.0 i3 object=3",
         "17 push_dropped r0.0 object=3",
         "17 task_end r0.0 timed_out",
     ]
     # With half a second more it fits, and the final check of what it finds runs past the limit.
-    fleet, _ = run(
-        {0: "s . . . f"}, policy="or-hitl", inputs={(0, 0, 0): PUSH}, task_limit_s=18.5
-    )
+    fleet, _ = run({0: "s . . . f"}, policy="or-hitl", inputs={(0, 0, 0): PUSH}, task_limit_s=18.5)
     assert log(fleet)[-4:] == [
         "17 push_dropped r0.0 object=3",
         "18.5 iteration r0.0 i4 feasible",
@@ -179,7 +176,9 @@ def test_iterations_stop_before_the_task_limit():
 def test_execution_and_retreat_do_not_count_against_the_limit():
     # 1.5 s of planning, 8 s of service, 1.5 s of pushing, then 4 s that do not count: the limit of
     # 18.5 s is at 22.5, so the reach iterations end at 16.5, 19.5 and 22.5.
-    fleet, _ = run({0: "s f . . . ."}, policy="or-hitl", inputs={(0, 0, 0): PUSH}, task_limit_s=18.5)
+    fleet, _ = run(
+        {0: "s f . . . ."}, policy="or-hitl", inputs={(0, 0, 0): PUSH}, task_limit_s=18.5
+    )
     assert log(fleet)[-5:] == [
         "15 retreat_end r0.0 object=3",
         "16.5 iteration r0.0 i2",
@@ -205,6 +204,12 @@ def test_a_new_segment_is_not_stuck():
     assert log(fleet)[-1] == "14 task_end r0.0 timed_out"
 
 
+def test_a_pushs_cost_is_not_the_tasks():
+    fleet, _ = run({0: "s x"}, policy="or-hitl", inputs={(0, 0, 0): PUSH}, task_limit_s=14.0)
+    record = fleet.records[0]
+    assert (record.status, record.cost, record.non_finite) == ("timed_out", 100.0, 2)
+
+
 def test_a_robot_without_time_for_an_iteration_does_not_ask():
     fleet, _ = run({0: ". . s"}, policy="or-hitl", task_limit_s=10.0)
     assert log(fleet)[-2:] == ["7.5 iteration r0.0 i2 stuck", "7.5 task_end r0.0 stuck"]
@@ -213,9 +218,6 @@ def test_a_robot_without_time_for_an_iteration_does_not_ask():
 
 
 def test_feasibility_is_tested_before_anything_is_asked():
-    from pgf_jax.fleet import Fleet, FleetConfig
-    from pgf_jax.fleet.stub import StubRobots, drive, outcome
-
     result = dataclasses.replace(outcome(feasible=True), stuck=True, gain=50.0)
     for policy in ("pgf", "or-hitl", "queue", "random", "classifier"):
         robots = StubRobots(lambda work: result)
@@ -227,9 +229,7 @@ def test_feasibility_is_tested_before_anything_is_asked():
 
 def test_always_asks_once_before_planning_and_waits_in_line():
     # Robot 1's input is a push, planned before any reaching.
-    fleet, robots = run(
-        {0: "s f", 1: "f f"}, robots=2, policy="always", inputs={(1, 0, 0): PUSH}
-    )
+    fleet, robots = run({0: "s f", 1: "f f"}, robots=2, policy="always", inputs={(1, 0, 0): PUSH})
     assert log(fleet) == [
         "0 task_start r0.0",
         "0 bid r0.0 q0 gain=inf",

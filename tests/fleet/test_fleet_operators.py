@@ -138,7 +138,7 @@ def test_service_ends_before_iterations_do():
 def test_tie_order_of_one_instant():
     # At 6.0: robot 3's service of 3 s ends; robot 1's reach ends; robot 2, slower, ends iteration 1
     # and bids into the window that robot 0 opened at 4.5; it closes; robot 1 takes a new task.
-    # Robots are in reverse of the order of kinds, so that the order by robot cannot stand in for it.
+    # The robots are not in that order, so that the order by robot cannot stand in for it.
     fleet, _ = run(
         {(0, 0): ". 3 f", (1, 0): "f", (2, 0): ". 4 f", (3, 0): "s f"},
         robots=4,
@@ -269,6 +269,40 @@ def test_a_robot_whose_task_expired_bids_again_in_the_same_window():
     ]
 
 
+def test_a_loser_without_time_for_an_iteration_ends_its_task_once():
+    # The window of 5 s leaves it half a second: its task ends at 9.5, and nothing expires at 10.
+    fleet, _ = run({0: ". 5", 1: ". 9"}, robots=2, window_s=5.0, task_limit_s=10.0, service=0.25)
+    assert log(fleet, "task_start", "iteration")[3:] == [
+        "9.5 window_close",
+        "9.5 grant r1.0 q0 o0",
+        "9.5 refused r0.0 q0 lost",
+        "9.5 task_end r0.0 timed_out",
+        "9.75 service_end r1.0 q0 o0 go_on",
+        "9.75 task_end r1.0 timed_out",
+    ]
+
+
+def test_planning_starts_by_robot_whatever_happened_first():
+    # At 6.0 robot 1's service ends (first) and robot 0's push iteration does; neither push has time
+    # for another one, robot 1 being slow.
+    fleet, _ = run(
+        {0: "s . . f", 1: "s . . f"},
+        robots=2,
+        operators=2,
+        policy="or-hitl",
+        service=3.0,
+        push_limit_s=1.5,
+        inputs={(0, 0, 0): PUSH, (1, 0, 0): PUSH},
+        speeds=(1.0, 2.0),
+    )
+    assert [line for line in log(fleet) if line.startswith("6 ")] == [
+        "6 service_end r1.0 q0 o1 object=3 to=(0.4,0.1) push",
+        "6 iteration r0.0 i1 object=3",
+        "6 push_dropped r0.0 object=3",
+        "6 push_dropped r1.0 object=3",
+    ]
+
+
 @pytest.mark.parametrize(
     ("policy", "bids"),
     [
@@ -306,91 +340,6 @@ def test_or_hitl_window_grants_one_of_the_stuck_at_the_windows_end():
     assert lines[5].endswith("lost")
 
 
-def test_horizon_cuts_off_what_runs_and_starts_no_new_task():
-    # Horizon 6. Robot 0 finishes its reach at 6, in time, and takes no further task. Robot 1 is
-    # served from 1.5 on, robot 2 waits in line, robot 3 iterates, robot 4 executes from 4.5 on.
-    fleet, _ = run(
-        {0: "f", 1: "s", 2: "s", 3: ".", 4: "f"},
-        robots=5,
-        tasks=9,
-        policy="queue",
-        horizon_s=6.0,
-        speeds=(1.0, 1.0, 1.0, 1.0, 1.5),
-    )
-    assert [line for line in log(fleet) if line.startswith("6 ")] == [
-        "6 execution_end r0.0 reach",
-        "6 task_end r0.0 solved",
-        "6 service_end r1.0 q0 o0 censored",
-        "6 task_end r1.0 censored",
-        "6 expired r2.0 q0 censored",
-        "6 task_end r2.0 censored",
-        "6 task_end r3.0 censored",
-        "6 task_end r4.0 censored",
-    ]
-    by_robot = sorted(fleet.records, key=lambda record: record.robot)
-    assert [record.interaction_s for record in by_robot] == [0.0, 4.5, 0.0, 0.0, 0.0]
-    assert [record.waiting_s for record in by_robot] == [0.0, 0.0, 4.5, 0.0, 0.0]
-    assert [record.planning_time_s for record in by_robot] == [3.0, 1.5, 1.5, 6.0, 4.5]
-    assert [record.execution_s for record in by_robot] == [3.0, 0.0, 0.0, 0.0, 1.5]
-    assert by_robot[3].reach_iterations == 1  # ended; the one cut off at 6 does not count
-    assert by_robot[2].expired == 0
-
-
-def test_horizon_asks_for_no_work_that_cannot_be_needed():
-    robots = StubRobots(lambda work: outcome())
-    fleet = Fleet(FleetConfig(tasks=1, policy="autonomous", horizon_s=4.0), robots)
-    first = fleet.advance()
-    assert [work.iteration for work in first] == [0]
-    fleet.deliver(first[0], outcome())
-    assert fleet.advance() == []  # iteration 1 would end at 4.5
-    assert fleet.done
-
-
-def test_shared_computer_stretches_iterations_by_the_robots_that_plan_at_their_start():
-    # C = 8 cores, 8 rollouts a robot: A robots planning take A times as long. Robot 0's iteration 0
-    # takes 3 s (A = 2) and its check 3 s more; robot 1's iteration 1 starts at 3 (A = 2), takes 6 s
-    # and keeps that although robot 0 executes from 6 on; its next, from 9 on, has A = 1 until
-    # robot 0's next task starts at 9 as well: A = 2 for both, 6 s and 3 s.
-    fleet, _ = run(
-        {(0, 0): "f", (0, 1): ". f", (1, 0): ". . . f", (1, 1): "f"},
-        robots=2,
-        tasks=2,
-        policy="autonomous",
-        compute="shared:8",
-    )
-    assert log(fleet, "task_start")[:9] == [
-        "3 iteration r0.0 i0 feasible",
-        "3 iteration r1.0 i0",
-        "9 execution_end r0.0 reach",
-        "9 task_end r0.0 solved",
-        "9 iteration r1.0 i1",
-        "12 iteration r0.1 i0",
-        "15 iteration r1.0 i2",
-        "18 iteration r0.1 i1 feasible",
-        "21 iteration r1.0 i3 feasible",
-    ]
-
-
-def test_shared_computer_counts_neither_waiting_nor_served_nor_executing_robots():
-    # Robot 0 is served from 3 to 11 (A = 2 at the start only): robot 1 has the computer alone.
-    fleet, _ = run(
-        {0: "s f", 1: ". . . f"}, robots=2, policy="or-hitl", compute="shared:8"
-    )
-    times = [
-        event.time_ns / 1e9
-        for event in fleet.events
-        if event.kind is EventKind.ITERATION and event.robot == 1
-    ]
-    assert times == [3.0, 6.0, 9.0, 12.0]
-
-
-def test_shared_computer_can_run_a_task_out_of_time():
-    # Two robots on half a computer each: an iteration takes 6 s, which does not fit before 8 s,
-    # although 3 s would.
-    fleet, _ = run({0: ".", 1: "."}, robots=2, policy="autonomous", compute="shared:8", task_limit_s=8.0)
-    assert log(fleet)[-2:] == ["3 task_end r0.0 timed_out", "3 task_end r1.0 timed_out"]
-
-
 def test_context_switch_is_paid_when_an_operator_turns_to_another_robot():
     # Robot 0 twice in a row, then robot 1: only the third service costs 5 s more.
     fleet, _ = run(
@@ -415,7 +364,9 @@ def test_request_numbers_count_inputs_not_refusals():
             seen.append((robot, task, request))
             return 4.0
 
-    robots = StubRobots(lambda work: outcome(stuck=work.iteration < 6, feasible=work.iteration >= 6))
+    robots = StubRobots(
+        lambda work: outcome(stuck=work.iteration < 6, feasible=work.iteration >= 6)
+    )
     fleet = Fleet(FleetConfig(robots=2, tasks=2, policy="or-hitl"), robots, service=Noted())
     drive([(fleet, robots)])
     assert any(event.kind is EventKind.REFUSED for event in fleet.events)

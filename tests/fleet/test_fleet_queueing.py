@@ -70,9 +70,7 @@ def covers(interval: Interval, value: float, *, width: float) -> None:
 
 
 def answered(fleet: Fleet) -> list[Event]:
-    return [
-        e for e in fleet.events if e.kind is EventKind.SERVICE_END and e.outcome != "censored"
-    ]
+    return [e for e in fleet.events if e.kind is EventKind.SERVICE_END and e.outcome != "censored"]
 
 
 @pytest.mark.parametrize(
@@ -138,17 +136,18 @@ def test_robots_in_line_are_the_machine_repair_model():
 
 def time_averages(events: list[Event], edges: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """Number of robots in line or served, and of busy operators, averaged within each batch."""
+    # Who is still in line or served at the horizon leaves then: no area is left after that.
     moments = np.array(edges, dtype=np.int64)
-    sums = []
-    for enter, leave in ((EventKind.BID, 1), (EventKind.GRANT, 1)):
-        area = np.zeros(len(edges))  # integral up to each edge
-        for sign, kinds in ((1, {enter}), (-leave, {EventKind.SERVICE_END})):
-            times = np.array([e.time_ns for e in events if e.kind in kinds], dtype=np.int64)
-            for k, moment in enumerate(moments):
-                area[k] += sign * float((moment - times[times <= moment]).sum())
-        # A robot still in line at the horizon leaves it by EXPIRED then: no area after that.
-        sums.append(np.diff(area) / np.diff(moments))
-    return sums[0], sums[1]
+    leaving = area(events, EventKind.SERVICE_END, moments)
+    present = area(events, EventKind.BID, moments) - leaving
+    busy = area(events, EventKind.GRANT, moments) - leaving
+    return np.diff(present) / np.diff(moments), np.diff(busy) / np.diff(moments)
+
+
+def area(events: list[Event], kind: EventKind, moments: np.ndarray) -> np.ndarray:
+    """Integral over time, up to each moment, of how many events of a kind there were before."""
+    times = np.array([event.time_ns for event in events if event.kind is kind], dtype=np.int64)
+    return np.array([float((moment - times[times <= moment]).sum()) for moment in moments])
 
 
 @pytest.mark.parametrize("robots", range(1, 9))
