@@ -1,1 +1,346 @@
-"""Command line."""
+"""The command line: one frozen config a command, parsed by tyro, run with late imports.
+
+Parsing imports neither JAX nor MuJoCo nor Polars, so that help and bad input answer at once. Bad
+input of every kind ends in one line on stderr and exit code 2.
+"""
+
+import contextlib
+import dataclasses
+import importlib
+import io
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from tyro import _errors as tyro_errors
+
+from pgf_jax.errors import BadInput
+from pgf_jax.guidance.train_config import TrainConfig
+
+if TYPE_CHECKING:
+    from pgf_jax.study.collect_config import CollectConfig
+    from pgf_jax.study.plan_config import PlanCommand
+    from pgf_jax.study.plan_file import Plan
+
+PROG = "pgf-jax"
+BAD_INPUT, INTERRUPTED = 2, 130
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainCommand:
+    """Train phi_auto and phi_human on collected runs, early-stopped on scenes held out.
+
+    Attributes:
+      data: folder with autonomous/runs.parquet and human/runs.parquet, as `collect` writes it.
+      out: folder for the two checkpoints and the figure of their losses.
+      config: settings.
+    """
+
+    data: Path
+    out: Path
+    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = dataclasses.field(
+        default_factory=TrainConfig
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Command:
+    """A subcommand.
+
+    Attributes:
+      summary: its line in the list of commands.
+      config: `module:Class` of its settings; imported to parse its arguments.
+      run: takes the settings; imports what it needs when it runs.
+    """
+
+    summary: str
+    config: str
+    run: Callable[[Any], None]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+      argv: arguments without the program's name; those of the process if None.
+
+    Returns:
+      The exit code: 0, 2 for bad input, 130 when interrupted.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _main(arguments)
+    except BadInput as error:
+        return _fail(" ".join(str(error).splitlines()), BAD_INPUT)
+    except KeyboardInterrupt as error:
+        return _fail(str(error) or "interrupted", INTERRUPTED)
+    except BrokenPipeError:  # whoever read our output (`| head`) has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+def _main(arguments: list[str]) -> int:
+    if arguments[:1] in (["-h"], ["--help"]):
+        print(_help())
+        return 0
+    if arguments == ["--version"]:
+        from importlib.metadata import version
+
+        print(version("pgf_jax"))
+        return 0
+    if not arguments or arguments[0] not in COMMANDS:
+        got = repr(arguments[0]) if arguments else "none"
+        raise BadInput(f"command: expected one of {', '.join(COMMANDS)}, got {got}")
+    command = COMMANDS[arguments[0]]
+    module, name = command.config.split(":")
+    try:
+        config = _parse(getattr(importlib.import_module(module), name), arguments)
+    except SystemExit as stop:  # help was printed
+        return int(stop.code or 0)
+    _keep_compiled()
+    command.run(config)
+    return 0
+
+
+def _parse(config: type, arguments: list[str]) -> Any:
+    """Parse the arguments of a command; BadInput of one line in place of tyro's box."""
+    prog, box = f"{PROG} {arguments[0]}", io.StringIO()
+
+    def reject(event: tyro_errors.ParseErrorEvent) -> None:
+        message = _rejection(event, prog)
+        if message is not None:
+            raise BadInput(message)
+
+    try:
+        with contextlib.redirect_stderr(box), tyro_errors.on_parse_error(reject):
+            return tyro.cli(config, prog=prog, args=arguments[1:])
+    except BadInput as error:
+        raise BadInput(_as_flag(str(error))) from None
+    except SystemExit as stop:
+        if stop.code:  # an event of a kind that is not known here: tyro's own words
+            words = " ".join(
+                re.sub(r"[^\w\s.,:;'\"()<>=/-]|-{2,}(?!\w)", " ", box.getvalue()).split()
+            )
+            raise BadInput(f"arguments: {words}") from None
+        raise
+
+
+def _rejection(event: tyro_errors.ParseErrorEvent, prog: str) -> str | None:
+    """One line for what tyro rejects.
+
+    tyro's hook is private to it; its public way is a drawn box, wrapped to the terminal's width.
+    """
+    see = f"(see {prog} --help)"
+    match event:
+        case tyro_errors.UnrecognizedArgs(tokens=tokens):
+            return f"unrecognized options: {' '.join(tokens)} {see}"
+        case tyro_errors.MissingArgs(missing_arguments=missing):
+            return f"options missing: {', '.join(m.arg.display_name() for m in missing)} {see}"
+        case tyro_errors.InvalidChoice(argument=argument, value=value, choices=choices):
+            # The choices of an option that may be None come in another order each time.
+            expected = ", ".join(sorted({*choices} - {"None"}))
+            return f"{argument.display_name()}: expected one of {expected}, got {value!r}"
+        case tyro_errors.BadValue(argument=argument, offending_value=None):
+            return f"{argument.display_name()}: expected a value, got none {see}"
+        case tyro_errors.InstantiationFailure(message=message, argument=None):
+            return message
+        case tyro_errors.InstantiationFailure(message=message, argument=argument) if argument:
+            for theirs, ours in _WORDS.items():
+                message = message.replace(theirs, ours)
+            return f"{argument.display_name()}: {message}"
+    return None
+
+
+_WORDS = {
+    "invalid literal for int() with base 10:": "expected a whole number, got",
+    "could not convert string to float:": "expected a number, got",
+}
+
+
+def _as_flag(message: str) -> str:
+    """`task_limit: ...`, as settings call it, is `--task-limit: ...` to who typed it."""
+    return re.sub(r"^([a-z][a-z_]*)(?=: | must )", lambda m: "--" + m[1].replace("_", "-"), message)
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"{PROG}: {message}", file=sys.stderr)
+    return code
+
+
+def _help() -> str:
+    width = max(map(len, COMMANDS))
+    commands = (f"  {name:<{width}}  {command.summary}" for name, command in COMMANDS.items())
+    return "\n".join(
+        [
+            f"usage: {PROG} COMMAND [OPTIONS]",
+            "",
+            "One human guiding a fleet of robots that reach through clutter: planning and studies.",
+            "",
+            "commands:",
+            *commands,
+            "",
+            f"{PROG} COMMAND --help lists a command's options.",
+        ]
+    )
+
+
+def _keep_compiled() -> None:
+    """Keep compiled programs between calls, in processes that are started from here too.
+
+    By environment, and so before JAX is imported; what the user has set stays.
+    """
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path.home() / ".cache" / "pgf_jax"))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+
+# --- commands -----------------------------------------------------------------------------------
+
+
+def _plan(command: "PlanCommand") -> None:
+    from pgf_jax.scene import load_scene, sample_scene
+
+    seeds = range(command.seed, command.seed + command.count)
+    if command.preset is not None:
+        scenes = [(sample_scene(seed, command.preset), seed) for seed in seeds]
+    else:
+        scenes = [(load_scene(path), command.seed) for path in command.scene]
+    names = [scene.name for scene, _ in scenes]
+    for name in names:
+        if names.count(name) > 1:
+            raise BadInput(f"--scene: expected scenes of different names, got {name} twice")
+    if command.out is not None:
+        _make_folder(command.out)
+
+    from pgf_jax.study.plan import plan_scenes
+    from pgf_jax.study.plan_file import save_plan
+    from pgf_jax.study.progress import Progress
+
+    done = 0
+
+    def planned(plan: "Plan") -> None:
+        nonlocal done
+        done += 1
+        if command.out is not None:
+            save_plan(command.out, plan)
+        progress.update(done, len(scenes))
+
+    with Progress("scenes", every_s=None) as progress:
+        progress.update(0, len(scenes))
+        plans = plan_scenes(scenes, command.config, on_plan=planned)
+    _show_plans(plans, command)
+
+
+def _show_plans(plans: "list[Plan]", command: "PlanCommand") -> None:
+    rows = [
+        (
+            plan.scene.name,
+            str(plan.status),
+            str(plan.iterations),
+            f"{plan.planning_time_s:.1f}",
+            f"{plan.cost['total']:.2f}",
+            str(plan.pushes),
+        )
+        for plan in plans
+    ]
+    _table(("scene", "status", "iterations", "planning time (s)", "cost", "pushes"), rows)
+    config = command.config
+    solved = sum(plan.solved for plan in plans)
+    where = "" if command.out is None else f"; plans in {command.out}"
+    print(
+        f"{solved} of {len(plans)} solved; engine {config.engine}, physics {config.physics}, "
+        f"lanes {config.lanes}{where}"
+    )
+
+
+def _sweep(config: Any) -> None:
+    from pgf_jax.study.sweep import sweep
+
+    try:
+        sweep(config)
+    except KeyboardInterrupt:
+        raise SystemExit(INTERRUPTED) from None  # it has said what is kept
+
+
+def _collect(config: "CollectConfig") -> None:
+    from pgf_jax.study.collect import collect
+    from pgf_jax.study.progress import Progress, clock
+
+    try:
+        with Progress("scenes") as progress:
+            done = collect(config, on_progress=progress.update)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            "interrupted; the runs that had ended are kept, and --resume goes on from them"
+        ) from None
+    mix = ", ".join(f"{count} {name}" for name, count in done.by_class.items())
+    _table(
+        ("runs", "of", "solved", "iterations", "inputs"),
+        [(str(done.runs), mix, str(done.solved), str(done.iterations), str(done.inputs))],
+    )
+    print(f"{done.path}; engine {config.engine}, lanes {config.lanes}, {clock(done.seconds)}")
+
+
+def _train(command: TrainCommand) -> None:
+    from pgf_jax.guidance.checkpoint import NETWORKS
+    from pgf_jax.guidance.training import train
+
+    report = train(command.data, command.out, command.config)
+    counts = ("runs", "scenes", "rows", "non_finite", "short", "epochs", "best_epoch")
+    figures = ("rmse_train", "rmse_val", "target_std_val")  # in units of cost
+    rows = [(name, *(str(report[network][name]) for network in NETWORKS)) for name in counts]
+    rows += [(name, *(f"{report[network][name]:.2f}" for network in NETWORKS)) for name in figures]
+    _table(("", *NETWORKS), rows)
+    print("\n".join(report["files"]))
+
+
+def _profile(config: Any) -> None:
+    from pgf_jax.study.profile import profile
+
+    profile(config)
+
+
+def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table()
+    for i, heading in enumerate(headings):
+        numbers = i > 0 and all(row[i][:1].isdigit() for row in rows)
+        table.add_column(heading, justify="right" if numbers else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"--out {path}: expected a folder to write to ({error.strerror})") from None
+
+
+COMMANDS = {
+    "plan": Command(
+        "plan scenes, and write the plans", "pgf_jax.study.plan_config:PlanCommand", _plan
+    ),
+    "sweep": Command(
+        "simulate fleets under several policies and sizes",
+        "pgf_jax.study.sweep_config:SweepConfig",
+        _sweep,
+    ),
+    "collect": Command(
+        "plan sampled scenes and keep every iteration, to train on",
+        "pgf_jax.study.collect_config:CollectConfig",
+        _collect,
+    ),
+    "train": Command("train the predictors on collected runs", "pgf_jax.cli:TrainCommand", _train),
+    "profile": Command(
+        "measure the engines' speed on this computer",
+        "pgf_jax.study.profile_config:ProfileConfig",
+        _profile,
+    ),
+}

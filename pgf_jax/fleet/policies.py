@@ -35,6 +35,7 @@ class Progress(NamedTuple):
     reach_iterations: int  # so far, iteration 0s not counted
     grants: int  # so far in this task
     remaining_s: float  # until the task's limit
+    since_restart: int = 0  # reach iterations since the segment began or since the last input
 
 
 class Policy(Protocol):

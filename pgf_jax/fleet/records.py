@@ -107,6 +107,7 @@ class Run:
     work_iterations: int = 0  # all, iteration 0s included: the next one's number in `Work`
     iterations: int = 0
     reach_iterations: int = 0
+    since_restart: int = 0  # reach iterations since the segment began or since the last input
     pushes_planned: int = 0
     requests: int = 0
     answered: int = 0
@@ -129,6 +130,7 @@ class Run:
     def new_segment(self) -> None:
         """A new nominal, counter and history (D4)."""
         self.nominal_done = self.stuck = False
+        self.since_restart = 0
 
     def count(self, result: IterationResult) -> None:
         """Book an iteration that has ended."""
@@ -136,6 +138,7 @@ class Run:
         if self.nominal_done:
             self.iterations += 1
             self.reach_iterations += self.push is None
+            self.since_restart += self.push is None
         self.nominal_done = True
         self.stuck = result.stuck
         self.non_finite += result.non_finite
@@ -150,6 +153,7 @@ class Run:
             self.reach_iterations,
             len(self.grants_at),
             (self.deadline_ns - now_ns) / 1e9,
+            self.since_restart,
         )
 
     def failure(self) -> Status:

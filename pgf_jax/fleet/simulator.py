@@ -220,6 +220,7 @@ class Fleet:
             elif run.nominal_done:
                 self._robots.go_on(run.robot)
                 run.stuck = False
+                run.since_restart = 0
             self._plan(run)
         self._match()
 

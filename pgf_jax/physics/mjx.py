@@ -8,9 +8,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-with contextlib.redirect_stdout(
-    io.StringIO()
-):  # it prints that Warp, an optional backend, is absent
+# It prints that Warp, an optional backend, is absent.
+with contextlib.redirect_stdout(io.StringIO()):
     from mujoco import mjx
 
 from pgf_jax.physics import hand, model

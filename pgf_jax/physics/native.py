@@ -1,6 +1,7 @@
 """Engine `native`: MuJoCo's C engine in float64 on a pool of threads; the parity oracle."""
 
 import concurrent.futures
+import copy
 import os
 import queue
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from pgf_jax.physics import hand, model
 from pgf_jax.physics.config import Physics
-from pgf_jax.physics.engine import Rollout, World
+from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
 
 SOLVERS = {"cg": mujoco.mjtSolver.mjSOL_CG, "newton": mujoco.mjtSolver.mjSOL_NEWTON}
 JACOBIANS = {"dense": mujoco.mjtJacobian.mjJAC_DENSE, "sparse": mujoco.mjtJacobian.mjJAC_SPARSE}
@@ -30,7 +31,7 @@ class NativeEngine:
         solver: str = "newton",
         jacobian: str = "dense",
         iterations: int = 100,
-        tolerance: float = 1e-8,
+        tolerance: float = model.SOLVER_TOLERANCE,
         sleep: bool = True,
     ) -> None:
         self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
@@ -42,9 +43,7 @@ class NativeEngine:
         # A thread works on a model of its own: the fingers move by changing geom poses.
         self._workspaces: queue.SimpleQueue = queue.SimpleQueue()
         for _ in range(self.threads):
-            m = mujoco.MjModel.from_xml_string(model.mjcf(physics, n_objects))
-            m.stat.meaninertia = compiled.stat.meaninertia
-            m.bvh_aabb[:] = compiled.bvh_aabb
+            m = copy.copy(compiled)
             m.opt.solver, m.opt.jacobian = SOLVERS[solver], JACOBIANS[jacobian]
             m.opt.iterations, m.opt.tolerance = iterations, tolerance
             if sleep:
@@ -60,8 +59,8 @@ class NativeEngine:
             objects=np.empty((b, t, n, 2)),
             hand=np.empty((b, t, 3)),
             velocities=np.empty((b, n, 2)),
-            force=np.zeros((b, t, model.MAX_CONTACTS)),
-            bodies=np.zeros((b, t, model.MAX_CONTACTS, 2), np.int32),
+            force=np.zeros((b, t, MAX_CONTACTS)),
+            bodies=np.zeros((b, t, MAX_CONTACTS, 2), np.int32),
         )
 
         def one(i: int) -> None:
@@ -90,6 +89,10 @@ class NativeEngine:
                 d.qvel[:dofs] = speeds
                 mujoco.mj_step(m, d)
             before = target
+            if _diverged(d):
+                for array in (out.objects[i, k:], out.hand[i, k:], out.velocities[i]):
+                    array[:] = np.nan
+                return
             out.objects[i, k] = d.qpos[dofs:].reshape(-1, 2)
             out.hand[i, k] = d.qpos[:base]
             self._contacts(m, d, out.force[i, k], out.bodies[i, k])
@@ -106,3 +109,13 @@ class NativeEngine:
             mujoco.mj_contactForce(m, d, c, wrench)
             force[c] = np.linalg.norm(wrench[:3])
             bodies[c] = self._bodies[d.contact.geom[c]]
+
+
+def _diverged(d: mujoco.MjData) -> bool:
+    """Whether MuJoCo met a state that is not finite, which it then replaced by the model's own."""
+    bad = (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+    return any(d.warning[w].number for w in bad)

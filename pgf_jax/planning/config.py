@@ -11,8 +11,8 @@ class Cost:
     """Cost weights and thresholds (D3). `source` follows the authors' published source.
 
     `paper` is the text of the paper: c_d = w_d |ee - goal|, c_f = w_f F over all contacts without a
-    threshold, no edge or static term; it gives no number for feasible, so there it is d(goal) < 0.06
-    and c_b = 0.
+    threshold, no edge or static term; it gives no number for feasible, so there it is
+    d(goal) < 0.06 and c_b = 0.
     """
 
     variant: Literal["source", "paper"] = "source"

@@ -43,7 +43,9 @@ def rotation(yaw: jax.Array) -> jax.Array:
 
 def end_effector(hand_pose: jax.Array) -> jax.Array:
     """[..., 2] position of `ee` in the world, m, for [..., 3] hand poses."""
-    return hand_pose[..., :2] + rotation(hand_pose[..., 2]) @ jnp.asarray(hand.EE_POINT)
+    return hand_pose[..., :2] + rotation(hand_pose[..., 2]) @ jnp.asarray(
+        hand.EE_POINT, jnp.float32
+    )
 
 
 def wrap(angle: jax.Array) -> jax.Array:
@@ -52,7 +54,10 @@ def wrap(angle: jax.Array) -> jax.Array:
 
 
 def reach_distance(hand_pose: jax.Array, objects: jax.Array, cost: Cost) -> jax.Array:
-    """d(o) = sqrt(|ee - o|^2 + (0.09 bearing)^2) of each object: [..., 3], [..., N, 2] -> [..., N], m."""
+    """d(o) = sqrt(|ee - o|^2 + (0.09 bearing)^2) of each object, m.
+
+    Takes [..., 3] hand poses and [..., N, 2] centres; returns [..., N].
+    """
     to = objects - end_effector(hand_pose)[..., None, :]
     bearing = wrap(
         jnp.arctan2(to[..., 1], to[..., 0]) - hand_pose[..., 2, None] - hand.POINTING_YAW
@@ -68,21 +73,24 @@ def force_cost(force: jax.Array, bodies: jax.Array, n_objects: int, cost: Cost) 
     """
     if cost.variant == "paper":
         return cost.w_f_paper * force.sum(-1)
-    times = (bodies < n_objects).sum(-1)
+    times = (bodies < n_objects).sum(-1).astype(force.dtype)
     over = jnp.where(force > cost.force_threshold, cost.w_f * force, 0.0)
     return (times * jnp.where(jnp.isfinite(force), over, cost.force_not_finite)).sum(-1)
 
 
 def touches_shelf(hand_pose: jax.Array, gripper: jax.Array) -> jax.Array:
     """Whether any capsule of the hand overlaps a wall: [3], [] -> [] bool."""
-    segments = hand.capsule_segments(gripper, jnp) @ rotation(hand_pose[2]).T + hand_pose[:2]
+    segments = hand.capsule_segments(gripper, jnp) @ rotation(hand_pose[2]).T
+    segments += hand_pose[None, None, :2]
     a, b, radii = segments[:, 0], segments[:, 1], jnp.asarray(hand.RADII)
     back = jnp.maximum(a[:, 0], b[:, 0]) + radii > BACK_WALL_X
 
     # Only what has entered the shelf can touch its sides: clip each axis to x >= the shelf's front.
     def inside(p, q):
-        t = jnp.clip((SIDE_WALLS_FROM_X - p[:, 0]) / jnp.where(q[:, 0] == p[:, 0], 1.0, q[:, 0] - p[:, 0]), 0, 1)
-        return jnp.where((p[:, 0] < SIDE_WALLS_FROM_X)[:, None], p + t[:, None] * (q - p), p)
+        outside = SIDE_WALLS_FROM_X - p[:, 0]
+        along = q[:, 0] - p[:, 0]
+        t = jnp.clip(outside / jnp.where(along == 0, 1.0, along), 0, 1)
+        return jnp.where((outside > 0)[:, None], p + t[:, None] * (q - p), p)
 
     a, b = inside(a, b), inside(b, a)
     entered = jnp.maximum(a[:, 0], b[:, 0]) >= SIDE_WALLS_FROM_X
@@ -118,15 +126,15 @@ def evaluate(rollout: Rollout, gripper: jax.Array, task: Task, cost: Cost) -> Ev
     if cost.variant == "paper":
         c_e = c_s = jnp.zeros(())
     else:
-        x, y = rollout.objects[..., 0], rollout.objects[..., 1]
-        over = (x < cost.edge_x[0]) | (x > cost.edge_x[1])
-        c_e = cost.w_edge * (over.sum() + ((y < cost.edge_y[0]) | (y > cost.edge_y[1])).sum())
-        c_s = cost.w_static * jax.vmap(touches_shelf)(rollout.hand, gripper).sum()
+        low, high = jnp.asarray([cost.edge_x, cost.edge_y]).T  # [2] each
+        beyond = (rollout.objects < low[None, None]) | (rollout.objects > high[None, None])
+        c_e = cost.w_edge * beyond.sum(dtype=jnp.float32)
+        touching = jax.vmap(touches_shelf)(rollout.hand, gripper)
+        c_s = cost.w_static * touching.sum(dtype=jnp.float32)
 
     terms = jnp.stack([jnp.where(task.pushing, c_h, c_d), c_f, c_b, c_e, c_s]).astype(jnp.float32)
-    finite = (
-        jnp.isfinite(rollout.objects).all() & jnp.isfinite(rollout.hand).all() & jnp.isfinite(terms).all()
-    )
+    finite = jnp.isfinite(terms).all()
+    finite &= jnp.isfinite(rollout.objects).all() & jnp.isfinite(rollout.hand).all()
     total = jnp.where(finite, terms.sum(), jnp.inf)
     distance = jnp.where(task.pushing, to_target, d[task.goal])
     arrived = distance < jnp.where(task.pushing, cost.target_radius, cost.goal_radius)

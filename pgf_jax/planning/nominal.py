@@ -41,13 +41,13 @@ def reach(
       [T, 3] velocities and [T] gripper values.
     """
     t = physics.knots
-    share = jnp.arange(1, t + 1) / t
     ee, to = end_effector(pose), objects[goal] - end_effector(pose)
     length = jnp.linalg.norm(to)
     travel = to / length * (length - REACH_SHORT)
     seen = objects[goal] - pose[:2]
     turn = 0.5 * wrap(jnp.arctan2(seen[1], seen[0]) - pose[2] - hand.POINTING_YAW)
-    controls = _follow(pose, ee + share[:, None] * travel, pose[2] + share * turn, physics)
+    yaws = jnp.linspace(pose[2], pose[2] + turn, t + 1)[1:]
+    controls = _follow(pose, jnp.linspace(ee, ee + travel, t + 1)[1:], yaws, physics)
     closed_knots = t - int(CLOSED_SHARE * t)
     near = reach_distance(pose, objects, cost)[goal] < OPEN_WITHIN
     closed = (jnp.arange(t) < closed_knots) & ~near
@@ -68,9 +68,9 @@ def push(
     first, second = t // 2, t - t // 2
     waypoints = jnp.concatenate(
         [
-            ee + (jnp.arange(1, first + 1) / first)[:, None] * (behind - ee),
-            behind + (jnp.arange(1, second + 1) / second)[:, None] * (stop - behind),
+            jnp.linspace(ee, behind, first + 1)[1:],
+            jnp.linspace(behind, stop, second + 1)[1:],
         ]
     )
-    yaws = jnp.full(t, 1.0) * pose[2]
+    yaws = jnp.full(t, pose[2])
     return _follow(pose, waypoints, yaws, physics), jnp.full(t, hand.GRIPPER_CLOSED)

@@ -13,7 +13,7 @@ import numpy as np
 
 from pgf_jax.errors import BadInput
 from pgf_jax.physics import hand
-from pgf_jax.physics.engine import Engine, Rollout, World
+from pgf_jax.physics.engine import MAX_CONTACTS, Engine, Rollout, World
 from pgf_jax.planning import nominal
 from pgf_jax.planning.config import Planner as Config
 from pgf_jax.planning.cost import Evaluation, Task, evaluate
@@ -32,15 +32,15 @@ class Search(NamedTuple):
     controls: jax.Array  # [T, 3] of the best so far (at first the nominal)
     best: Rollout  # of the best so far: [T, N, 2] and so on
     value: Evaluation  # of the best so far
-    iteration: jax.Array  # [] int32, iterations done in this segment, the nominal's not counted; -1 before it
+    iteration: jax.Array  # [] int32, done in this segment, the nominal's not counted: -1 before it
     last_cost: jax.Array  # [] c_(i-1); c_0 counts as 0
     stuck_count: jax.Array  # [] int32, n
-    history: jax.Array  # [P, 3] (c_d, c_f, c_b) of the best, latest last; nan where there is none yet
+    history: jax.Array  # [P, 3] (c_d, c_f, c_b) of the best, latest last; nan where none yet
     non_finite: jax.Array  # [] int32, rollouts of this segment whose cost was not finite
 
 
 class BatchPlanner:
-    """Plans for up to L robots in one call; what a lane holds never changes another lane's result."""
+    """Plans for up to L robots in one call; no lane's content changes another lane's result."""
 
     def __init__(self, engine: Engine, config: Config | None = None) -> None:
         self.engine, self.config = engine, config or Config()
@@ -105,7 +105,7 @@ class BatchPlanner:
         return _unstack(_to_host(after), len(searches))
 
     def retreat(self, searches: Sequence[Search]) -> list[World]:
-        """Execute each feasible push and retract 0.07 m straight back; the worlds that are there then.
+        """The worlds after each push was executed and the hand has retracted 0.07 m straight back.
 
         The hand keeps its gripper and moves back along its pointing direction (D4). The push itself
         has been rolled out: its end is the retreat's start.
@@ -138,7 +138,7 @@ class BatchPlanner:
 
     def _begin(self, start: World, task: Task, controls: jax.Array, gripper: jax.Array) -> Search:
         t, n = self.engine.physics.knots, self.engine.n_objects
-        c = self._contact_slots()
+        c = MAX_CONTACTS
         return Search(
             start=start,
             task=task,
@@ -165,11 +165,6 @@ class BatchPlanner:
             non_finite=jnp.int32(0),
         )
 
-    def _contact_slots(self) -> int:
-        from pgf_jax.physics.model import MAX_CONTACTS
-
-        return MAX_CONTACTS
-
     def _reach(self, start: World, goal: jax.Array) -> Search:
         task = Task(goal, jnp.array(False), goal, start.objects[goal])
         controls, gripper = nominal.reach(
@@ -187,11 +182,14 @@ class BatchPlanner:
     def _propose_one(self, search: Search, key: jax.Array) -> jax.Array:
         """[K, T, 3] noisy trajectories from the best so far; K times the nominal at iteration 0."""
         shape = (self.config.rollouts, *search.controls.shape)
-        noise = jnp.asarray(self.config.sigma) * jax.random.normal(key, shape)
-        return search.controls + jnp.where(search.iteration < 0, 0.0, noise)
+        noise = jnp.asarray(self.config.sigma)[None, None] * jax.random.normal(key, shape)
+        return search.controls[None] + jnp.where(search.iteration < 0, 0.0, noise)
 
     def _evaluate(self, search: Search, rollout: Rollout) -> Evaluation:
-        return jax.vmap(lambda r: evaluate(r, search.gripper, search.task, self.config.cost))(rollout)
+        def one(rollout: Rollout) -> Evaluation:
+            return evaluate(rollout, search.gripper, search.task, self.config.cost)
+
+        return jax.vmap(one)(rollout)
 
     def _blend_one(self, search: Search, noisy: jax.Array, rollout: Rollout) -> jax.Array:
         """STOMP's update: noise weighted by exp(-h (S - min S) / (max S - min S)); [1, T, 3].
@@ -205,7 +203,7 @@ class BatchPlanner:
         spread = jnp.where(high > low, high - low, 1.0)
         weight = jnp.where(finite, jnp.exp(-self.config.stomp_h * (total - low) / spread), 0.0)
         weight = weight / jnp.maximum(weight.sum(), 1e-30)
-        delta = (weight[:, None, None] * (noisy - search.controls)).sum(0)
+        delta = (weight[:, None, None] * (noisy - search.controls[None])).sum(0)
         return (search.controls + delta)[None]
 
     def _absorb_one(self, search: Search, noisy: jax.Array, rollout: Rollout) -> Search:
@@ -213,12 +211,14 @@ class BatchPlanner:
         config = self.config
         values = self._evaluate(search, rollout)
         winner = jnp.argmin(values.total)
-        take = lambda tree: jax.tree.map(lambda x: x[winner], tree)  # noqa: E731
         c_i, best = values.total[winner], search.value.total
         first = search.iteration < 0
         better = (c_i < best) | first
-        keep = lambda new, old: jax.tree.map(lambda a, b: jnp.where(better, a, b), new, old)  # noqa: E731
-        value = keep(take(values), search.value)
+
+        def improve(new, old):
+            return jax.tree.map(lambda a, b: jnp.where(better, a[winner], b), new, old)
+
+        value = improve(values, search.value)
 
         n = jnp.where(c_i < best, 0, search.stuck_count)
         no_progress = jnp.abs(c_i - search.last_cost) < config.stuck_change
@@ -226,17 +226,17 @@ class BatchPlanner:
         far = ~(c_i - jnp.minimum(best, c_i) <= config.stuck_excess)
         n = jnp.where(no_progress | far, n + 1, 0)
 
+        lost = (~values.finite).astype(jnp.int32)  # [K], of which iteration 0 rolls out but one
         history = jnp.concatenate([search.history[1:], value.terms[None, :3]])
         return search._replace(
-            controls=keep(noisy[winner], search.controls),
-            best=keep(take(rollout), search.best),
+            controls=improve(noisy, search.controls),
+            best=improve(rollout, search.best),
             value=value,
             iteration=search.iteration + 1,
             last_cost=jnp.where(first, 0.0, c_i),
             stuck_count=jnp.where(first, 0, n).astype(jnp.int32),
             history=jnp.where(first, search.history, history),
-            non_finite=search.non_finite
-            + jnp.where(first, ~values.finite[0], (~values.finite).sum()).astype(jnp.int32),
+            non_finite=search.non_finite + jnp.where(first, lost[:1].sum(), lost.sum()),
         )
 
     def _retreat_one(self, search: Search) -> tuple[World, jax.Array]:
@@ -247,7 +247,7 @@ class BatchPlanner:
 
 
 def start_world(positions: np.ndarray) -> World:
-    """The world as a task begins: robot at (0, 0, yaw 0), hand open, objects ([N, 2], m) at rest."""
+    """The world as a task begins: robot at (0, 0, 0), hand open, objects ([N, 2], m) at rest."""
     n = len(positions)
     return World(
         np.asarray(positions, np.float32),

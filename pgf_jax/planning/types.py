@@ -16,7 +16,7 @@ class Status(enum.StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Push:
-    """Human input: push object number `object` (0-based) so that its centre comes to (x, y), metres.
+    """Human input: push object number `object` (0-based) until its centre is at (x, y), metres.
 
     "Go on reaching", the other possible input, is `None`.
     """

@@ -1,0 +1,86 @@
+"""Settings of `collect`; no JAX here, the command line builds on it."""
+
+import dataclasses
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from pgf_jax.errors import BadInput
+from pgf_jax.study.checks import (
+    MAX_SEED,
+    at_least,
+    check_operator,
+    check_planning,
+    one_of,
+    whole,
+)
+from pgf_jax.study.sweep_config import LANES, OTHER_LANES
+
+CLASSES = ("tight", "medium", "wide")
+
+
+@dataclasses.dataclass(frozen=True)
+class CollectConfig:
+    """Plan sampled scenes and keep every iteration, for `train`. On CPU, use native.
+
+    Attributes:
+      mode: autonomous: nobody helps; human: input is given once in each run that lasts so long.
+      scenes: how many; scene i has seed + i for its own seed (of layout and noise).
+      out: folder of the data; gets autonomous/runs.parquet or human/runs.parquet.
+      classes: scene classes, taken in turn: the mix is even.
+      seed: of the first scene.
+      engine: physics engine: mjx, native, or a registered one.
+      physics: default, or the paper's substep and the authors' softness.
+      cost: cost variant: the authors' source, or the paper's text.
+      update: greedy or stomp.
+      operator: who gives the input of human runs.
+      lanes: L, scenes computed in one call; None: a constant of the engine, as in a sweep.
+      task_limit: simulated time of a run, s. The default ends an unsolved run after reach iteration
+        39, or in human runs at least 10 reach iterations (the predictors' look-ahead) after the
+        input, however long its push took to plan.
+      ask_from: human: input comes after a reach iteration drawn evenly from ask_from..ask_to; the
+        third is the first with a full history.
+      ask_to: human: see ask_from.
+      chunk: finished runs are written this many at a time: what an interruption can lose.
+      resume: continue what was interrupted, or add scenes to what is there.
+    """
+
+    mode: tyro.conf.Positional[Literal["autonomous", "human"]]
+    scenes: int
+    out: Path
+    classes: tuple[Literal["tight", "medium", "wide"], ...] = CLASSES
+    seed: int = 0
+    engine: str = "mjx"
+    physics: Literal["default", "paper"] = "default"
+    cost: Literal["source", "paper"] = "source"
+    update: Literal["greedy", "stomp"] = "greedy"
+    operator: str = "heuristic"
+    lanes: int | None = None
+    task_limit: float = 120.0
+    ask_from: int = 3
+    ask_to: int = 12
+    chunk: int = 20
+    resume: bool = False
+
+    def __post_init__(self) -> None:
+        one_of("mode", self.mode, ["autonomous", "human"])
+        whole("scenes", self.scenes, 1)
+        whole("seed", self.seed, 0, MAX_SEED - self.scenes + 1)
+        whole("chunk", self.chunk, 1)
+        if self.lanes is None:
+            object.__setattr__(self, "lanes", LANES.get(self.engine, OTHER_LANES))
+        check_planning(self)
+        if self.mode == "human":
+            check_operator(self.operator)
+            if self.operator == "none":
+                raise BadInput("operator: human runs need one that gives input, got 'none'")
+        if not self.classes:
+            raise BadInput(f"classes: expected one or more of {', '.join(CLASSES)}, got none")
+        for name in self.classes:
+            one_of("classes", name, list(CLASSES))
+        if len(set(self.classes)) != len(self.classes):
+            raise BadInput(f"classes: expected each at most once, got {' '.join(self.classes)}")
+        at_least("task_limit", self.task_limit, 1.5)  # the nominal's own rollout
+        whole("ask_from", self.ask_from, 0)
+        whole("ask_to", self.ask_to, self.ask_from)

@@ -1,0 +1,343 @@
+"""Results of a sweep on disk: `tasks.parquet`, `events.parquet`, `summary.csv`, `paired.csv`.
+
+A cell's files hold one row for each `TaskRecord` (by robot and task) and each `Event` (as they
+happened); the merged files hold those of all cells, with the columns `policy` and `robots` before
+them. What does not apply is null. Nothing in them depends on how fast the computer was.
+"""
+
+import dataclasses
+import hashlib
+import io
+import itertools
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pgf_jax.errors import BadInput
+from pgf_jax.fleet.events import Event, EventKind
+from pgf_jax.fleet.metrics import CellSummary, Interval, paired_difference
+from pgf_jax.fleet.records import TaskRecord
+from pgf_jax.guidance.runs import write_atomically
+from pgf_jax.planning.types import Status
+from pgf_jax.study.sweep_config import Cell
+
+_COLUMNS = {int: pl.Int64(), float: pl.Float64(), str: pl.String()}
+_CELL_COLUMNS: dict[str, pl.DataType] = {"policy": pl.String(), "robots": pl.Int64()}
+
+EVENT_SCHEMA: dict[str, pl.DataType] = {
+    "time_ns": pl.Int64(),
+    "kind": pl.String(),
+    "robot": pl.Int64(),
+    "task": pl.Int64(),
+    "request": pl.Int64(),
+    "operator": pl.Int64(),
+    "iteration": pl.Int64(),
+    "gain": pl.Float64(),
+    "object": pl.Int64(),
+    "x": pl.Float64(),
+    "y": pl.Float64(),
+    "outcome": pl.String(),
+}
+# The fields of a TaskRecord, its scene after its task and its terms by name.
+_OTHER_TYPES: dict[str, dict[str, pl.DataType]] = {
+    "task": {"task": pl.Int64(), "scene": pl.String()},
+    "status": {"status": pl.String()},
+    "first_bid": {"first_bid": pl.Int64()},
+    "first_grant": {"first_grant": pl.Int64()},
+    "grants_at": {"grants_at": pl.List(pl.Int64())},
+    "successful_grants_at": {"successful_grants_at": pl.List(pl.Int64())},
+    "terms": {"c_d": pl.Float64(), "c_f": pl.Float64(), "c_b": pl.Float64()},
+}
+TASK_SCHEMA: dict[str, pl.DataType] = {
+    column: dtype
+    for field in dataclasses.fields(TaskRecord)
+    for column, dtype in (
+        _OTHER_TYPES.get(field.name) or {field.name: _COLUMNS[field.type]}  # pyright: ignore[reportArgumentType]
+    ).items()
+}
+MERGED_TASK_SCHEMA = _CELL_COLUMNS | TASK_SCHEMA
+MERGED_EVENT_SCHEMA = _CELL_COLUMNS | EVENT_SCHEMA
+_TERMS = ("c_d", "c_f", "c_b")
+
+
+# -- rows --------------------------------------------------------------------------------------
+
+
+def tasks_frame(
+    records: Iterable[TaskRecord], scene_name: Callable[[int, int], str]
+) -> pl.DataFrame:
+    """Task records as a table, by robot and task.
+
+    Args:
+      records: of one fleet, in any order.
+      scene_name: (robot, task) -> name of the scene.
+    """
+    rows = []
+    for record in sorted(records, key=lambda r: (r.robot, r.task)):
+        row = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
+        row |= dict(zip(_TERMS, row.pop("terms"), strict=True))
+        row |= {name: _null(row[name]) for name in ("cost", *_TERMS)}
+        row |= {name: list(row[name]) for name in ("grants_at", "successful_grants_at")}
+        rows.append(row | {"status": record.status.value, "scene": scene_name(*_key(record))})
+    return pl.DataFrame(rows, schema=TASK_SCHEMA)
+
+
+def task_records(tasks: pl.DataFrame) -> list[TaskRecord]:
+    """The records that `tasks_frame` made a table of."""
+    records = []
+    for row in tasks.select(list(TASK_SCHEMA)).drop("scene").iter_rows(named=True):
+        terms = [row.pop(name) for name in _TERMS]
+        row["terms"] = tuple(map(_nan, terms))
+        row["cost"] = _nan(row["cost"])
+        row["status"] = Status(row["status"])
+        row |= {name: tuple(row[name]) for name in ("grants_at", "successful_grants_at")}
+        records.append(TaskRecord(**row))
+    return records
+
+
+def events_frame(events: Iterable[Event]) -> pl.DataFrame:
+    """An event log as a table, in its order; a gain that is not known yet (nan) is null."""
+    rows = [
+        (*event[:1], event.kind.value, *event[2:7], _null(event.gain), *event[8:11], _text(event))
+        for event in events
+    ]
+    return pl.DataFrame(rows, schema=EVENT_SCHEMA, orient="row")
+
+
+def event_log(events: pl.DataFrame) -> list[Event]:
+    """The events that `events_frame` made a table of; an unknown gain is None."""
+    rows = events.select(list(EVENT_SCHEMA)).iter_rows()
+    return [Event(time_ns, EventKind(kind), *rest) for time_ns, kind, *rest in rows]
+
+
+def merge(frames: Sequence[tuple[Cell, pl.DataFrame]]) -> pl.DataFrame:
+    """One table of all cells, the cell's columns first."""
+    return pl.concat(
+        frame.select(
+            pl.lit(cell.policy, pl.String()).alias("policy"),
+            pl.lit(cell.robots, pl.Int64()).alias("robots"),
+            pl.all(),
+        )
+        for cell, frame in frames
+    )
+
+
+def _key(record: TaskRecord) -> tuple[int, int]:
+    return record.robot, record.task
+
+
+def _null(value: float | None) -> float | None:
+    return None if value is None or math.isnan(value) else value
+
+
+def _nan(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _text(event: Event) -> str | None:
+    return None if event.outcome is None else str(event.outcome)  # a Status becomes its value
+
+
+# -- tables ------------------------------------------------------------------------------------
+
+
+def summary_frame(summaries: Iterable[CellSummary]) -> pl.DataFrame:
+    """`summary.csv`: one row a cell, `CellSummary.row()`."""
+    return pl.DataFrame([summary.row() for summary in summaries], infer_schema_length=None)
+
+
+PAIRED: Mapping[str, Callable[[TaskRecord], float]] = {
+    "planning_time_s": lambda record: record.planning_time_s,
+    "solved": lambda record: float(record.status is Status.SOLVED),
+    "reach_iterations": lambda record: record.reach_iterations,
+    "grants": lambda record: record.grants,
+    "waiting_s": lambda record: record.waiting_s,
+    "interaction_s": lambda record: record.interaction_s,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Paired:
+    """A row of `paired.csv`: how two policies differ on the same tasks.
+
+    Attributes:
+      robots: R.
+      policy, baseline: `difference` is the mean of the first's value minus the second's over pairs
+        of one (robot, task), which share scene, planning noise and service times.
+      value: of `PAIRED`.
+      difference: with its 95 % t interval.
+    """
+
+    robots: int
+    policy: str
+    baseline: str
+    value: str
+    difference: Interval
+
+
+def paired(records: Mapping[Cell, Sequence[TaskRecord]]) -> list[Paired]:
+    """Paired differences of every two policies at every fleet size, the earlier minus the later."""
+    return [
+        Paired(
+            ours.robots,
+            ours.policy,
+            theirs.policy,
+            name,
+            paired_difference(records[ours], records[theirs], value),
+        )
+        for ours, theirs in itertools.combinations(records, 2)
+        if ours.robots == theirs.robots
+        for name, value in PAIRED.items()
+    ]
+
+
+def paired_frame(rows: Iterable[Paired]) -> pl.DataFrame:
+    """`paired.csv`: one row a fleet size, two policies and a value."""
+    schema = {"robots": pl.Int64(), "policy": pl.String(), "baseline": pl.String()}
+    schema |= {"value": pl.String(), "mean": pl.Float64()}
+    schema |= {"low": pl.Float64(), "high": pl.Float64(), "n": pl.Int64()}
+    return pl.DataFrame(
+        [
+            (r.robots, r.policy, r.baseline, r.value, *dataclasses.astuple(r.difference))
+            for r in rows
+        ],
+        schema=schema,
+        orient="row",
+    )
+
+
+# -- files -------------------------------------------------------------------------------------
+
+
+def parquet(frame: pl.DataFrame) -> bytes:
+    """A Parquet file; the same table gives the same bytes."""
+    buffer = io.BytesIO()
+    frame.write_parquet(buffer)
+    return buffer.getvalue()
+
+
+def csv(frame: pl.DataFrame) -> bytes:
+    """A CSV file with numbers to the last digit; nan where there is none."""
+    return frame.write_csv().encode()
+
+
+def sha256(data: bytes) -> str:
+    """Hex digest."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_results(path: Path | str, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
+    """Read a results file (Parquet) and check its columns.
+
+    Args:
+      path: the file.
+      schema: what it should hold: `MERGED_TASK_SCHEMA`, `EVENT_SCHEMA` ...
+
+    Returns:
+      The table with the schema's columns, in its order.
+
+    Raises:
+      BadInput: one line that names the file: missing, truncated, corrupt, or of other columns.
+    """
+    path = Path(path)
+    return _decode(_read(path), path, schema)
+
+
+def _read(path: Path) -> bytes:
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file, expected results of a sweep")
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _decode(data: bytes, path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
+    try:
+        frame = pl.read_parquet(io.BytesIO(data))
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise BadInput(f"{path}: truncated or corrupt, not a Parquet file ({reason})") from error
+    for column, dtype in schema.items():
+        if frame.schema.get(column) != dtype:
+            found = frame.schema.get(column, "nothing")
+            raise BadInput(f"{path}: column {column} must be {dtype}, got {found}")
+    return frame.select(list(schema))
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises:
+      BadInput: one line that names the file: missing, truncated, corrupt or not an object.
+    """
+    try:
+        content = json.loads(_read(path))
+    except ValueError as error:
+        raise BadInput(f"{path}: truncated or corrupt, not JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise BadInput(f"{path}: expected a JSON object, got a {type(content).__name__}")
+    return content
+
+
+def json_bytes(content: Mapping[str, Any]) -> bytes:
+    """A JSON file for people to read as well."""
+    return (json.dumps(content, indent=2) + "\n").encode()
+
+
+# -- cells -------------------------------------------------------------------------------------
+
+CELL_FILES = {"tasks.parquet": TASK_SCHEMA, "events.parquet": EVENT_SCHEMA}
+CELL_RECORD = "cell.json"  # written last: a cell that has it is finished
+
+
+def cell_folder(out: Path, cell: Cell) -> Path:
+    """Where a cell's files lie."""
+    return out / "cells" / cell.name
+
+
+def write_cell(
+    out: Path, cell: Cell, identity: Mapping[str, Any], tasks: pl.DataFrame, events: pl.DataFrame
+) -> None:
+    """Write a finished cell: its tables, then the record that says what they are.
+
+    Args:
+      out: folder of the sweep's results.
+      cell: which.
+      identity: everything that the results depend on.
+      tasks, events: as `tasks_frame` and `events_frame` make them.
+    """
+    folder = cell_folder(out, cell)
+    try:  # An older record must not vouch for new tables, should this be interrupted.
+        (folder / CELL_RECORD).unlink(missing_ok=True)
+    except OSError as error:
+        raise BadInput(f"{folder / CELL_RECORD}: cannot be replaced ({error.strerror})") from error
+    files = dict(zip(CELL_FILES, (parquet(tasks), parquet(events)), strict=True))
+    for name, data in files.items():
+        write_atomically(folder / name, data)
+    record = {"identity": identity, "files": {name: sha256(data) for name, data in files.items()}}
+    write_atomically(folder / CELL_RECORD, json_bytes(record))
+
+
+def read_cell(out: Path, cell: Cell) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """The tasks and events of a finished cell.
+
+    Raises:
+      BadInput: a file is missing, or is not the one that was written.
+    """
+    folder = cell_folder(out, cell)
+    digests = read_json(folder / CELL_RECORD).get("files")
+    frames = []
+    for name, schema in CELL_FILES.items():
+        data = _read(folder / name)
+        if not isinstance(digests, dict) or sha256(data) != digests.get(name):
+            raise BadInput(
+                f"{folder / name}: truncated or corrupt, its digest is not the one in "
+                f"{CELL_RECORD}; delete {folder} to compute the cell again"
+            )
+        frames.append(_decode(data, folder / name, schema))
+    return frames[0], frames[1]

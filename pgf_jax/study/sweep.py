@@ -1,0 +1,204 @@
+"""`pgf_jax.sweep`: fleets of every size under every policy on the same scenes, and their files."""
+
+import dataclasses
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+from rich.console import Console
+
+from pgf_jax.errors import BadInput
+from pgf_jax.fleet.metrics import CellSummary, summarise
+from pgf_jax.guidance.runs import write_atomically
+from pgf_jax.study import results
+from pgf_jax.study.figures import figure6, png
+from pgf_jax.study.manifest import manifest
+from pgf_jax.study.sweep_config import Cell, SweepConfig
+from pgf_jax.study.sweep_report import Report, summary_tables
+from pgf_jax.study.sweep_run import Effort, run_cells, run_in_processes
+from pgf_jax.study.sweep_setup import Setup, identity, prepare
+
+MANIFEST = "manifest.json"
+RESULTS = ("tasks.parquet", "events.parquet", "summary.csv", "paired.csv", "fig6.png")
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepResult:
+    """What a sweep found; all of it is in files too.
+
+    Attributes:
+      out: their folder.
+      summaries: one a cell, by policy, then by fleet size.
+      paired: differences of every two policies on the same tasks.
+      computed: names of the cells computed now; the others were finished before.
+    """
+
+    out: Path
+    summaries: tuple[CellSummary, ...]
+    paired: tuple[results.Paired, ...]
+    computed: tuple[str, ...]
+
+    def tasks(self) -> pl.DataFrame:
+        """`tasks.parquet`: one row a task."""
+        return results.read_results(self.out / "tasks.parquet", results.MERGED_TASK_SCHEMA)
+
+    def events(self) -> pl.DataFrame:
+        """`events.parquet`: one row an event."""
+        return results.read_results(self.out / "events.parquet", results.MERGED_EVENT_SCHEMA)
+
+
+def sweep(config: SweepConfig, *, quiet: bool = False) -> SweepResult:
+    """Run a sweep: every policy at every fleet size.
+
+    All cells of a process are computed in one queue of work; each is written as soon as it is
+    finished. With several workers, a script must call this under `if __name__ == "__main__"`.
+
+    Args:
+      config: what to run.
+      quiet: no progress (standard error), no table at the end (standard output).
+
+    Returns:
+      The summaries. Files are in `config.out`: `tasks.parquet`, `events.parquet`, `summary.csv`,
+      `paired.csv`, `fig6.png`, `manifest.json`, and each cell's in `cells/POLICY_RN`. The same
+      configuration gives the same files, but for the manifest's times, whatever the workers.
+
+    Raises:
+      BadInput: the configuration, or a file it names, cannot be used; or the folder holds results
+        of another configuration, or, on resuming, corrupt ones. Nothing has been written then.
+      KeyboardInterrupt: interrupted; finished cells are kept.
+    """
+    start = time.perf_counter()
+    setup = prepare(config)
+    cells = config.cells()
+    kept = check_folder(setup)
+    _make_folder(config.out)
+    todo = [cell for cell in cells if cell not in kept]
+    with Report(cells, kept, Console(stderr=True), quiet=quiet) as report:
+        try:
+            efforts = _compute(setup, todo, report)
+        except KeyboardInterrupt:
+            report.interrupted(config.out)
+            raise
+    outcome = _conclude(setup, kept, efforts, start)
+    if not quiet:
+        Console().print(summary_tables(outcome.summaries))
+    return outcome
+
+
+def _compute(setup: Setup, cells: list[Cell], report: Report) -> list[Effort]:
+    if not cells:
+        return []
+    if min(setup.config.workers, len(cells)) == 1:
+        return [run_cells(setup, cells, report)]
+    return run_in_processes(setup, cells, setup.config.workers, report)
+
+
+def _conclude(setup: Setup, kept: set[Cell], efforts: list[Effort], start: float) -> SweepResult:
+    """Summarise from the cells' files, so that kept and computed cells are treated alike."""
+    config, cells = setup.config, setup.config.cells()
+    tables = {cell: results.read_cell(config.out, cell) for cell in cells}
+    records = {cell: results.task_records(tasks) for cell, (tasks, _) in tables.items()}
+    summaries = [
+        summarise(config.fleet(cell), records[cell], results.event_log(events))
+        for cell, (_, events) in tables.items()
+    ]
+    paired = results.paired(records)
+    content = (
+        results.parquet(results.merge([(cell, tasks) for cell, (tasks, _) in tables.items()])),
+        results.parquet(results.merge([(cell, events) for cell, (_, events) in tables.items()])),
+        results.csv(results.summary_frame(summaries)),
+        results.csv(results.paired_frame(paired)),
+        png(figure6(summaries)),
+    )
+    files: dict[str, bytes] = dict(zip(RESULTS, content, strict=True))
+    for name, data in files.items():
+        write_atomically(config.out / name, data)
+    about = manifest(
+        setup,
+        kept=kept,
+        efforts=efforts,
+        wall_s=time.perf_counter() - start,
+        files=files,
+    )
+    write_atomically(config.out / MANIFEST, results.json_bytes(about))
+    computed = tuple(cell.name for cell in cells if cell not in kept)
+    return SweepResult(config.out, tuple(summaries), tuple(paired), computed)
+
+
+# -- the folder of results ---------------------------------------------------------------------
+
+
+def check_folder(setup: Setup) -> set[Cell]:
+    """Compare the results in the folder, if any, with the configuration.
+
+    Returns:
+      The cells that are finished and to be kept: none unless the configuration says `resume`.
+
+    Raises:
+      BadInput: the folder holds results of another configuration, or something that is neither;
+        or, on resuming, a corrupt file.
+    """
+    config = setup.config
+    out = config.out
+    if not out.exists():
+        return set()
+    if not out.is_dir():
+        raise BadInput(f"out: {out} is a file, expected a folder")
+    known = {cell.name: cell for cell in config.cells()}
+    found: set[Cell] = set()
+    for folder in sorted((out / "cells").glob("*/")):
+        path = folder / results.CELL_RECORD
+        if not path.is_file():
+            continue  # never finished: computed again
+        if folder.name not in known:
+            raise _foreign(path, f"cell {folder.name}, which this configuration has not", out)
+        cell = known[folder.name]
+        theirs = results.read_json(path).get("identity")
+        differences = _differences(theirs, identity(setup, cell))
+        if differences:
+            raise _foreign(path, f"of another configuration ({differences})", out)
+        found.add(cell)
+        if config.resume:
+            results.read_cell(out, cell)
+    leftover = [name for name in (*RESULTS, MANIFEST) if (out / name).exists()]
+    if leftover and not found:
+        # Their cells are gone, and only they could say what these were computed from.
+        raise _foreign(out / leftover[0], "without the cells they were merged from", out)
+    return found if config.resume else set()
+
+
+def _foreign(path: Path, what: str, out: Path) -> BadInput:
+    return BadInput(f"{path}: results {what}; choose another folder with --out, or delete {out}")
+
+
+def _differences(theirs: Any, ours: Mapping[str, Any]) -> str:
+    """Where two identities differ, in words; empty where they do not."""
+    if not isinstance(theirs, dict):
+        return "it does not say which"
+    words = []
+    for key in [*ours, *(key for key in theirs if key not in ours)]:
+        a, b = theirs.get(key), ours.get(key)
+        if isinstance(a, dict) and isinstance(b, dict):
+            inner = _differences(a, b)
+            words += [inner] if inner else []
+        elif a != b or (key in theirs) != (key in ours):
+            words.append(f"{key} {_short(a)}, now {_short(b)}")
+    return "; ".join(words)
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _make_folder(out: Path) -> None:
+    """Make the folder now: that it cannot be written should not turn up after hours."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"out: {out} cannot be made ({error.strerror})") from error
+    if not os.access(out, os.W_OK | os.X_OK):
+        raise BadInput(f"out: {out} cannot be written to")

@@ -1,0 +1,168 @@
+"""What a sweep reads before it starts: scenes, predictors; and what its results depend on."""
+
+import dataclasses
+import hashlib
+import importlib.metadata
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from pgf_jax.errors import BadInput
+from pgf_jax.fleet.service import stream
+from pgf_jax.guidance.checkpoint import NETWORKS, checkpoint_name, load_pair, shipped_checkpoints
+from pgf_jax.guidance.predictor import Predictor
+from pgf_jax.physics.config import PHYSICS
+from pgf_jax.scene import Scene, load_scenes, sample_scene
+from pgf_jax.scene.sampling import OBJECTS
+from pgf_jax.study.checks import check_operator
+from pgf_jax.study.results import sha256
+from pgf_jax.study.sweep_config import Cell, SweepConfig
+
+FORMAT = 1  # of the results folder
+PACKAGES = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "numpy")
+# Results of another release of these may differ in the last bits, and then in everything.
+_DECISIVE = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx")
+
+
+@dataclasses.dataclass(frozen=True)
+class Setup:
+    """A configuration and the contents of the files it names; can be sent to another process.
+
+    Attributes:
+      config: the sweep's.
+      files: the scenes of its folder, or None where scenes are sampled.
+      predictors: (phi_auto, phi_human), or None where there are none and none are needed.
+      predictor_files: per network: digest of its file, and what it was trained on.
+      n_objects: N of every scene.
+    """
+
+    config: SweepConfig
+    files: tuple[Scene, ...] | None
+    predictors: tuple[Predictor, Predictor] | None
+    predictor_files: Mapping[str, Mapping[str, Any]] | None
+    n_objects: int
+
+    def scene(self, robot: int, task: int) -> Scene:
+        """The scene of a task: of (seed, robot, task), whatever the policy and the fleet's size."""
+        return task_scene(self.config, self.files, robot, task)
+
+    def scene_name(self, robot: int, task: int) -> str:
+        """Its name, without packing a sampled scene again."""
+        if self.files is not None:
+            return self.scene(robot, task).name
+        return _sampled_name(self.config, robot, task)
+
+
+def prepare(config: SweepConfig) -> Setup:
+    """Load what a sweep is given, and check it.
+
+    Raises:
+      BadInput: one line that names the field or the file.
+    """
+    check_operator(config.operator)
+    files = None
+    n_objects = OBJECTS
+    if config.scenes is not None:
+        files = tuple(load_scenes(config.scenes))
+        n_objects = len(files[0].objects)
+        for scene in files:
+            if len(scene.objects) != n_objects:
+                raise BadInput(
+                    f"{config.scenes}: {scene.name} has {len(scene.objects)} objects, expected "
+                    f"{n_objects} as in {files[0].name}"
+                )
+    predictors, predictor_files = _load_predictors(config)
+    return Setup(config, files, predictors, predictor_files, n_objects)
+
+
+def task_scene(
+    config: SweepConfig, files: tuple[Scene, ...] | None, robot: int, task: int
+) -> Scene:
+    """The scene of a robot's task, by (seed, robot, task).
+
+    Sampled scenes have the key [seed, robot, task]. Of scene files, each robot takes a permutation
+    of all of them, then another one, and so on.
+
+    Args:
+      config: seed and class.
+      files: scenes to draw from, or None to sample.
+      robot, task: 0-based.
+    """
+    if files is None:
+        key = np.array([config.seed, robot, task], np.uint32)
+        preset = config.sampled_class()
+        assert preset is not None
+        return sample_scene(key, preset, name=_sampled_name(config, robot, task))
+    turn, place = divmod(task, len(files))
+    # Raw bits: NumPy keeps a bit generator's output fixed for ever, but not a Generator's.
+    bits = stream(config.seed, "scenes", robot, turn).bit_generator.random_raw(len(files))
+    return files[int(np.argsort(bits, kind="stable")[place])]
+
+
+def _sampled_name(config: SweepConfig, robot: int, task: int) -> str:
+    return f"{config.sampled_class()}_{config.seed}_{robot}_{task}"
+
+
+def _load_predictors(
+    config: SweepConfig,
+) -> tuple[tuple[Predictor, Predictor] | None, dict[str, dict[str, Any]] | None]:
+    """The predictors, loaded for every policy: gains are logged under all of them alike."""
+    if config.predictor is None and not config.needs_gains() and not _shipped():
+        return None, None
+    pair = load_pair(config.predictor)
+    folder = shipped_checkpoints() if config.predictor is None else Path(config.predictor)
+    described = {
+        checkpoint.network: {
+            "sha256": sha256((folder / checkpoint_name(checkpoint.network)).read_bytes()),
+            "data_sha256": checkpoint.data_sha256,
+            "scenes": checkpoint.scenes,
+            "rows": checkpoint.rows,
+            "figures": dict(checkpoint.figures),
+        }
+        for checkpoint in pair
+    }
+    # NumPy leaves: arrays of JAX would start its backend wherever they are unpickled.
+    auto, human = (jax.tree.map(np.asarray, checkpoint.predictor) for checkpoint in pair)
+    return (auto, human), described
+
+
+def _shipped() -> bool:
+    try:
+        folder = shipped_checkpoints()
+    except BadInput:
+        return False
+    return any((folder / checkpoint_name(network)).is_file() for network in NETWORKS)
+
+
+def identity(setup: Setup, cell: Cell) -> dict[str, Any]:
+    """Everything that a cell's results depend on, as JSON has it; not workers, not other cells."""
+    config, files = setup.config, setup.files
+    content = {
+        "format": FORMAT,
+        "fleet": dataclasses.asdict(config.fleet(cell)),
+        "engine": config.engine,
+        "lanes": config.engine_lanes(),
+        "physics": dataclasses.asdict(PHYSICS[config.physics]),
+        "planner": dataclasses.asdict(config.planner()),
+        "scene_class": config.sampled_class(),
+        "scenes": None if files is None else scenes_digest(files),
+        "operator": config.operator,
+        "predictors": setup.predictor_files
+        and {network: about["sha256"] for network, about in setup.predictor_files.items()},
+        "versions": {name: importlib.metadata.version(name) for name in _DECISIVE},
+        "device": f"{jax.default_backend()}: {jax.devices()[0].device_kind}",
+    }
+    return json.loads(json.dumps(content))
+
+
+def scenes_digest(scenes: tuple[Scene, ...]) -> str:
+    """Digest of scenes, their names and their order."""
+    digest = hashlib.sha256()
+    for scene in scenes:
+        digest.update(f"{scene.name}\0{scene.goal}\0{len(scene.objects)}\0".encode())
+        digest.update(np.ascontiguousarray(scene.objects, "<f8").tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,28 @@
+import os
+from pathlib import Path
+
+import pytest
+
+# Before anything imports jax, and as environment, so that processes which tests start use it too.
+_CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "pgf_jax" / "tests"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
+os.environ.setdefault("JAX_PERSISTENT_COMPILATION_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def authors() -> Path:
+    """The authors' published data: to test on, not part of the project."""
+    folder = Path(os.environ.get("PGF_AUTHORS", REPOSITORY.parent / "shared" / "pgf_authors"))
+    if not folder.is_dir():
+        pytest.skip(f"no published data at {folder} (PGF_AUTHORS names their folder)")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def mjx_engine():
+    """The engine `mjx` for 2 lanes of 8 rollouts, one for all tests: it takes long to compile."""
+    from pgf_jax.physics.engine import make_engine
+
+    return make_engine("mjx", lanes=2)

@@ -1,0 +1,96 @@
+"""A world that costs nothing, for tests of what surrounds it; and small checkpoints and scenes."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from pgf_jax.guidance import checkpoint
+from pgf_jax.guidance.predictor import init
+from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, register_engine
+from pgf_jax.study.sweep_config import SweepConfig
+
+GRIP_SCALE = 9e3  # of the four tasks of two robots, seed 0, one times out and one ends stuck
+RESULTS = ("tasks.parquet", "events.parquet", "summary.csv", "paired.csv", "fig6.png")
+
+
+class Ghost:
+    """The hand passes through objects, but slips: it moves at a speed that the scene decides.
+
+    Some scenes are solved at once, some after many iterations and some never.
+    """
+
+    name = "ghost"
+
+    def __init__(self, physics, n_objects, *, lanes=1):
+        self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
+
+    def rollout(self, start, controls, gripper, substeps):
+        b, t = np.shape(gripper)
+        luck = GRIP_SCALE * np.asarray(start.objects, np.float64).sum((1, 2)) % 1
+        grip = np.maximum(0.0, 1.2 * luck - 0.2)
+        wanted = np.cumsum(np.asarray(controls, np.float64), axis=1) * self.physics.knot_s
+        moved = (grip[:, None, None] * wanted).astype(np.float32)
+        still = np.repeat(np.asarray(start.objects)[:, None], t, axis=1)
+        return Rollout(
+            objects=still,
+            hand=np.asarray(start.hand)[:, None] + moved,
+            velocities=np.zeros_like(np.asarray(start.objects)),
+            force=np.zeros((b, t, MAX_CONTACTS), np.float32),
+            bodies=np.zeros((b, t, MAX_CONTACTS, 2), np.int32),
+        )
+
+
+register_engine("ghost", Ghost)
+
+
+def ghost(out: Path, **changes) -> SweepConfig:
+    """A sweep of four cells that takes seconds."""
+    settings = {
+        "robots": (1, 2),
+        "policies": ("or-hitl", "autonomous"),
+        "tasks": 2,
+        "engine": "ghost",
+        "operator": "none",
+        "lanes": 4,
+        "out": out,
+    }
+    return SweepConfig(**(settings | changes))
+
+
+def write_checkpoints(folder: Path) -> Path:
+    """Two untrained networks about costs in the hundreds."""
+    rng = np.random.default_rng(0)
+    features, target = rng.uniform(0, 500, (50, 10)), rng.uniform(0, 500, 50)
+    for seed, network in enumerate(checkpoint.NETWORKS):
+        checkpoint.save(
+            folder / checkpoint.checkpoint_name(network),
+            checkpoint.Checkpoint(
+                network,
+                init(jax.random.key(seed), features, target),
+                data_sha256=f"digest of {network}",
+                scenes=40 + seed,
+                rows=50,
+                figures={"rmse_val": 1.0},
+            ),
+        )
+    return folder
+
+
+def write_scene(path: Path, n_objects: int = 4) -> None:
+    """A row of cylinders, in the published form."""
+    bodies = "".join(
+        f'<body name="object_{i + 1}" pos="0.45 {0.1 * i - 0.15:g} 0.05"><freejoint/>'
+        '<geom type="cylinder" size="0.03 0.05"/></body>'
+        for i in range(n_objects)
+    )
+    path.write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+
+
+def content(out: Path, names=RESULTS) -> dict[str, bytes]:
+    return {name: (out / name).read_bytes() for name in names}
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """All files below a folder."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}

@@ -1,0 +1,177 @@
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import tyro
+
+from pgf_jax.errors import BadInput
+from pgf_jax.study.sweep_config import Cell, SweepConfig
+
+
+def test_quick_is_forty_tasks():
+    config = SweepConfig(preset="quick", seed=5, engine="native")
+    assert config.cells() == (
+        Cell("pgf", 1, 4),
+        Cell("pgf", 4, 4),
+        Cell("or-hitl", 1, 4),
+        Cell("or-hitl", 4, 4),
+    )
+    assert sum(cell.robots * cell.tasks for cell in config.cells()) == 40
+    assert config.sampled_class() == "tight"
+    spelled_out = SweepConfig(
+        preset="quick",
+        robots=(1, 4),
+        policies=("pgf", "or-hitl"),
+        tasks=4,
+        scene_class="tight",
+    )
+    assert spelled_out.cells() == config.cells()
+
+
+def test_lists_and_strings_will_do():
+    config = SweepConfig(preset="quick", robots=[1, 4], out="x", scenes=None)  # pyright: ignore[reportArgumentType]
+    assert config == SweepConfig(preset="quick", robots=(1, 4), out=Path("x"))
+
+
+def test_paper_sizes():
+    cells = SweepConfig(preset="paper").cells()
+    assert [(c.robots, c.tasks) for c in cells if c.policy == "pgf"] == [
+        (1, 100),
+        (10, 50),
+        (20, 50),
+        (30, 50),
+    ]
+    assert {c.policy for c in cells} == {"pgf", "or-hitl"}
+    assert SweepConfig(preset="paper").physics == "default"
+    other = SweepConfig(preset="paper", policies=("autonomous",), robots=(1, 20))
+    assert other.cells() == (Cell("autonomous", 1, 100), Cell("autonomous", 20, 50))
+
+
+def test_fleet_takes_over_every_time():
+    config = SweepConfig(
+        operators=2,
+        service_mean=5.0,
+        service_sd=1.0,
+        context_switch=0.5,
+        window=3.0,
+        rollout_time=0.75,
+        compute="shared:96",
+        horizon=3600.0,
+        seed=7,
+    )
+    fleet = config.fleet(Cell("or-hitl", 20, 50))
+    assert (fleet.robots, fleet.tasks, fleet.policy, fleet.seed) == (20, 50, "or-hitl", 7)
+    assert (fleet.operators, fleet.service_mean_s, fleet.service_sd_s) == (2, 5.0, 1.0)
+    assert (fleet.context_switch_s, fleet.window_s, fleet.rollout_time_s) == (0.5, 3.0, 0.75)
+    assert (fleet.compute, fleet.horizon_s) == ("shared:96", 3600.0)
+
+
+def test_lanes_are_a_constant_of_the_engine():
+    for robots in ((1,), (30,)):
+        for workers in (1, 4):
+            config = SweepConfig(robots=robots, workers=workers)
+            assert config.engine_lanes() == SweepConfig().engine_lanes()
+    assert SweepConfig(lanes=3).engine_lanes() == 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"preset": "huge"}, "preset: expected one of quick, paper, got 'huge'"),
+        ({"engine": "bullet"}, "engine: expected one of .*mjx.*, got 'bullet'"),
+        ({"physics": "moon"}, "physics: expected one of default, paper, got 'moon'"),
+        ({"cost": "free"}, "cost: .* got 'free'"),
+        ({"update": "cem"}, "update: .* got 'cem'"),
+        ({"scene_class": "huge"}, "scene_class: expected one of tight, medium, wide, got 'huge'"),
+        ({"policies": ("pgf", "best")}, "policies: expected one of pgf, .*, got 'best'"),
+        ({"policies": ("oracle-gain",)}, "policies: oracle-gain needs the true gain"),
+        ({"policies": ("classifier",)}, "policies: classifier needs a predicted probability"),
+        ({"policies": ()}, "policies: expected one or more, all different, got none"),
+        ({"policies": ("pgf", "pgf")}, "policies: .* all different, got pgf pgf"),
+        ({"robots": ()}, "robots: expected one or more, all different, got none"),
+        ({"robots": (4, 4)}, "robots: .* all different, got 4 4"),
+        ({"robots": (4, 0)}, "robots: expected a whole number 1 or more, got 0"),
+        ({"robots": (-1,)}, "robots: expected a whole number 1 or more, got -1"),
+        ({"tasks": 0}, "tasks: expected a whole number 1 or more, got 0"),
+        ({"tasks": -3}, "tasks: .* got -3"),
+        ({"operators": 0}, "operators: .* got 0"),
+        ({"workers": -1}, "workers: .* got -1"),
+        ({"lanes": 0}, "lanes: .* got 0"),
+        ({"seed": -1}, "seed: .* got -1"),
+        ({"seed": 2**32}, "seed: .* got 4294967296"),
+        ({"service_mean": -1.0}, "service_mean: .* 0 or more, got -1.0"),
+        ({"service_sd": float("nan")}, "service_sd: .* got nan"),
+        ({"service_mean": 0.0}, "service_sd: expected 0 with service_mean 0, got 4.0"),
+        ({"context_switch": -0.1}, "context_switch: .* got -0.1"),
+        ({"window": float("inf")}, "window: .* got inf"),
+        ({"rollout_time": 0.0}, "rollout_time: .* got 0.0"),
+        ({"horizon": 0.0}, "horizon: .* got 0.0"),
+        ({"horizon": -5.0}, "horizon: .* got -5.0"),
+        ({"compute": "cloud"}, "compute: expected dedicated, or shared:C .* got 'cloud'"),
+        ({"compute": "shared:0"}, "compute: .* got 'shared:0'"),
+        ({"scenes": Path("x"), "scene_class": "wide"}, "scene_class: expected none beside scenes"),
+        ({"preset": "quick", "robots": (1, 2)}, "robots: fixed at 1 4 by the preset quick, got 1"),
+        ({"preset": "quick", "tasks": 5}, "tasks: fixed at 4 by the preset quick, got 5"),
+        ({"preset": "quick", "policies": ("pgf",)}, "policies: fixed at pgf or-hitl by"),
+        ({"preset": "quick", "scene_class": "wide"}, "scene_class: fixed at tight by"),
+        ({"preset": "quick", "scenes": Path("x")}, "scenes: the preset quick samples its own"),
+    ],
+)
+def test_bad_values_are_named_in_one_line(changes, message):
+    with pytest.raises(BadInput, match=message) as caught:
+        SweepConfig(**changes)
+    assert "\n" not in str(caught.value)
+
+
+def test_command_line_flags():
+    words = (
+        "--preset paper --robots 1 10 --policies pgf or-hitl always --tasks 3 --seed 4 "
+        "--engine native --physics paper --cost paper --update stomp --scene-class wide "
+        "--operator none --operators 2 --service-mean 6 --service-sd 1 --window 3 "
+        "--rollout-time 1 --compute shared:96 --predictor p --horizon 100 --workers 2 "
+        "--lanes 5 --out o --resume"
+    )
+    config = tyro.cli(SweepConfig, args=words.split())
+    assert config == SweepConfig(
+        preset="paper",
+        robots=(1, 10),
+        policies=("pgf", "or-hitl", "always"),
+        tasks=3,
+        seed=4,
+        engine="native",
+        physics="paper",
+        cost="paper",
+        update="stomp",
+        scene_class="wide",
+        operator="none",
+        operators=2,
+        service_mean=6.0,
+        service_sd=1.0,
+        window=3.0,
+        rollout_time=1.0,
+        compute="shared:96",
+        predictor=Path("p"),
+        horizon=100.0,
+        workers=2,
+        lanes=5,
+        out=Path("o"),
+        resume=True,
+    )
+    assert tyro.cli(SweepConfig, args=["--scenes", "d"]).scenes == Path("d")
+
+
+def test_every_field_has_its_help():
+    assert SweepConfig.__doc__ is not None
+    for field in dataclasses.fields(SweepConfig):
+        assert f"      {field.name}: " in SweepConfig.__doc__
+
+
+def test_config_imports_nothing_heavy():
+    code = (
+        "import sys, pgf_jax.study.sweep_config as c; c.SweepConfig(); "
+        "print([m for m in ('jax', 'mujoco', 'polars', 'matplotlib', 'flax') if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout.strip() == "[]", result.stderr

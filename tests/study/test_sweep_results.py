@@ -1,0 +1,332 @@
+import dataclasses
+import io
+import math
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.container import ErrorbarContainer
+from rich.console import Console
+
+from pgf_jax.errors import BadInput
+from pgf_jax.fleet import Fleet, FleetConfig, WorkKind
+from pgf_jax.fleet.metrics import summarise
+from pgf_jax.fleet.stub import StubRobots, drive, outcome
+from pgf_jax.planning.types import Push, Status
+from pgf_jax.study import results
+from pgf_jax.study.figures import figure6, png
+from pgf_jax.study.sweep_config import Cell
+from pgf_jax.study.sweep_report import Report, summary_tables
+
+
+def run(policy="or-hitl", *, robots=1, tasks=3, iterate=None, decide=lambda work: None, **changes):
+    stub = StubRobots(iterate or (lambda work: outcome(feasible=True)), decide)
+    config = FleetConfig(robots=robots, tasks=tasks, policy=policy, **changes)
+    fleet = Fleet(config, stub)
+    drive([(fleet, stub)])
+    return fleet
+
+
+def solved_after(iterations):
+    """Task i is solved in iterations[i] iterations; None: never, and stuck all along."""
+
+    def iterate(work):
+        wanted = iterations[work.task]
+        return outcome(
+            feasible=wanted is not None and work.iteration >= wanted,
+            stuck=wanted is None,
+            gain=float(work.iteration) if work.iteration > 3 else math.nan,
+        )
+
+    return iterate
+
+
+def mixed(work):
+    """Pushes, failures, gains and costs that are not finite."""
+    if work.task == 1:
+        return outcome(cost=math.inf, non_finite=True, stuck=work.iteration > 4)
+    return outcome(
+        feasible=work.iteration > 6, stuck=work.iteration == 2 + work.robot, gain=work.iteration
+    )
+
+
+def mixed_fleet(**changes):
+    return run(
+        "pgf",
+        robots=3,
+        tasks=3,
+        iterate=mixed,
+        decide=lambda work: Push(work.robot, 0.4, 0.1),
+        **changes,
+    )
+
+
+def test_summary_against_hand_computation():
+    # Iteration 0 takes 1.5 s, each further one 3 s, the final check 1.5 s; then 3 s of execution.
+    fleet = run(iterate=solved_after([0, 2, 0]), policy="autonomous")
+    cell = Cell("autonomous", 1, 3)
+    frame = results.tasks_frame(fleet.records, lambda robot, task: f"scene_{task}")
+    summary = summarise(
+        fleet.config, results.task_records(frame), results.event_log(frame_of(fleet))
+    )
+    row = results.summary_frame([summary]).row(0, named=True)
+    assert (row["policy"], row["robots"], row["tasks"], row["solved"]) == ("autonomous", 1, 3, 3)
+    times = [3.0, 9.0, 3.0]
+    assert row["planning_time_s"] == pytest.approx(5.0)
+    # t quantile with 2 degrees of freedom: 4.302653; standard deviation sqrt(12).
+    half = 4.302653 * math.sqrt(12.0) / math.sqrt(3.0)
+    assert row["planning_time_s_low"] == pytest.approx(5.0 - half)
+    assert row["planning_time_s_high"] == pytest.approx(5.0 + half)
+    # Wilson for 3 of 3: low = 1 / (1 + z^2 / n), high = 1.
+    assert row["success"] == row["success_high"] == 1.0
+    assert row["success_low"] == pytest.approx(1 / (1 + 1.959964**2 / 3))
+    assert row["hours"] == pytest.approx((sum(times) + 3 * 3.0) / 3600)
+    assert row["tasks_per_hour"] == pytest.approx(3 * 3600 / 24.0)
+    assert row["utilisation"] == 0.0
+    assert math.isnan(row["first_grant"]) and row["first_grant_n"] == 0
+    merged = results.merge([(cell, frame)])
+    assert merged.columns == list(results.MERGED_TASK_SCHEMA)
+    assert merged["planning_time_s"].to_list() == times
+    assert merged["scene"].to_list() == ["scene_0", "scene_1", "scene_2"]
+
+
+def frame_of(fleet):
+    return results.events_frame(fleet.events)
+
+
+def test_paired_differences_against_hand_computation():
+    ours = run("autonomous", iterate=solved_after([0, 1, None]))
+    theirs = run("autonomous", iterate=solved_after([1, 3, 0]))
+    cells = {Cell("a", 1, 3): ours.records, Cell("b", 1, 3): theirs.records}
+    rows = {row.value: row for row in results.paired(cells)}
+    assert {(row.robots, row.policy, row.baseline) for row in rows.values()} == {(1, "a", "b")}
+    # Iterations differ by -1, -2 and 59: the 180 s limit allows 1.5 s and then 59 times 3 s.
+    assert rows["reach_iterations"].difference.mean == pytest.approx((-1 - 2 + 59) / 3)
+    # Planning time: 3 - 6, 6 - 12 and 178.5 - 3.
+    difference = rows["planning_time_s"].difference
+    values = np.array([-3.0, -6.0, 175.5])
+    assert difference.mean == pytest.approx(values.mean())
+    half = 4.302653 * values.std(ddof=1) / math.sqrt(3)
+    assert (difference.low, difference.high) == pytest.approx(
+        (values.mean() - half, values.mean() + half)
+    )
+    assert rows["solved"].difference.mean == pytest.approx(-1 / 3)
+    table = results.paired_frame(rows.values())
+    assert table.columns == ["robots", "policy", "baseline", "value", "mean", "low", "high", "n"]
+    assert table["n"].to_list() == [3] * len(results.PAIRED)
+
+
+def test_policies_are_paired_within_a_fleet_size():
+    fleets = {Cell(p, r, 3): run(robots=r).records for p in "abc" for r in (1, 2)}
+    rows = [row for row in results.paired(fleets) if row.value == "solved"]
+    pairs = [("a", "b"), ("a", "c"), ("b", "c")]
+    assert sorted((row.robots, row.policy, row.baseline) for row in rows) == [
+        (robots, *pair) for robots in (1, 2) for pair in pairs
+    ]
+    assert results.paired_frame(results.paired({Cell("a", 1, 3): []})).is_empty()
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), horizon=st.none() | st.floats(1.0, 700.0))
+def test_tables_hold_what_the_fleet_said(seed, horizon):
+    fleet = mixed_fleet(seed=seed, horizon_s=horizon)
+    tasks = results.tasks_frame(fleet.records, lambda robot, task: f"{robot}_{task}")
+    assert dict(tasks.schema) == results.TASK_SCHEMA
+    records = sorted(fleet.records, key=lambda r: (r.robot, r.task))
+    # Representations, because nan is not equal to itself.
+    assert repr(results.task_records(tasks)) == repr(records)
+    events = frame_of(fleet)
+    assert dict(events.schema) == results.EVENT_SCHEMA
+    known = [
+        e._replace(gain=None) if e.gain is not None and math.isnan(e.gain) else e
+        for e in fleet.events
+    ]
+    assert results.event_log(events) == known
+    for frame, schema in ((tasks, results.TASK_SCHEMA), (events, results.EVENT_SCHEMA)):
+        again = results._decode(results.parquet(frame), "x", schema)  # pyright: ignore[reportArgumentType]
+        assert again.equals(frame)
+        assert results.parquet(again) == results.parquet(frame)
+    before = summarise(fleet.config, fleet.records, fleet.events)
+    after = summarise(fleet.config, results.task_records(tasks), results.event_log(events))
+    # Means are over records in another order.
+    for key, value in before.row().items():
+        assert after.row()[key] == (value if isinstance(value, str) else approx(value))
+
+
+def approx(value):
+    return pytest.approx(value, rel=1e-12, nan_ok=True)
+
+
+def test_event_columns_are_exactly_the_documented_ones():
+    documented = "time_ns kind robot task request operator iteration gain object x y outcome"
+    assert list(results.EVENT_SCHEMA) == documented.split()
+    events = frame_of(mixed_fleet())
+    pushes = events.filter(pl.col("outcome") == "push", pl.col("kind") == "service_end")
+    assert pushes["x"].unique().to_list() == [0.4] and (pushes["object"] == pushes["robot"]).all()
+    assert events.filter(pl.col("kind") == "window_close")["robot"].null_count() > 0
+    assert results.events_frame([]).is_empty()
+
+
+# -- files -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cell_files(tmp_path):
+    fleet = mixed_fleet()
+    cell = Cell("pgf", 3, 3)
+    tasks = results.tasks_frame(fleet.records, lambda robot, task: "x")
+    results.write_cell(tmp_path, cell, {"a": 1}, tasks, frame_of(fleet))
+    return tmp_path, cell, tasks, frame_of(fleet)
+
+
+def test_cell_comes_back(cell_files):
+    out, cell, *frames = cell_files
+    for read, written in zip(results.read_cell(out, cell), frames, strict=True):
+        assert read.equals(written)
+    names = sorted(path.name for path in (out / "cells" / "pgf_R3").iterdir())
+    assert names == ["cell.json", "events.parquet", "tasks.parquet"]
+
+
+@pytest.mark.parametrize("name", ["tasks.parquet", "events.parquet"])
+@pytest.mark.parametrize("size", [0, 4, 100, -1])
+def test_truncated_cell_file_is_named(cell_files, name, size):
+    out, cell, *_ = cell_files
+    path = out / "cells" / "pgf_R3" / name
+    path.write_bytes(path.read_bytes()[:size])
+    with pytest.raises(BadInput, match=f"{path}: truncated or corrupt.*delete .*pgf_R3"):
+        results.read_cell(out, cell)
+    path.unlink()
+    with pytest.raises(BadInput, match=f"{path}: no such file"):
+        results.read_cell(out, cell)
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"files": ', "\xff\xfe", "[1]"])
+def test_corrupt_cell_record_is_named(cell_files, text):
+    out, cell, *_ = cell_files
+    path = out / "cells" / "pgf_R3" / "cell.json"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(BadInput, match=f"{path}: (truncated or corrupt|expected a JSON object)"):
+        results.read_cell(out, cell)
+    path.write_text("{}")
+    with pytest.raises(BadInput, match=r"tasks.parquet: truncated or corrupt"):
+        results.read_cell(out, cell)
+
+
+def test_read_results_names_file_and_column(tmp_path):
+    path = tmp_path / "tasks.parquet"
+    with pytest.raises(BadInput, match=f"{path}: no such file"):
+        results.read_results(path, results.MERGED_TASK_SCHEMA)
+    whole = results.parquet(results.tasks_frame(mixed_fleet().records, lambda robot, task: "x"))
+    for size in [*range(0, len(whole), 997), len(whole) - 1]:
+        path.write_bytes(whole[:size])
+        with pytest.raises(BadInput, match=f"{path}: truncated or corrupt") as caught:
+            results.read_results(path, results.TASK_SCHEMA)
+        assert "\n" not in str(caught.value)
+    path.write_bytes(whole)
+    with pytest.raises(BadInput, match=f"{path}: column policy must be String, got nothing"):
+        results.read_results(path, results.MERGED_TASK_SCHEMA)
+    pl.DataFrame({"robot": ["a"]}).write_parquet(path)
+    with pytest.raises(BadInput, match="column robot must be Int64, got String"):
+        results.read_results(path, results.TASK_SCHEMA)
+
+
+def test_numbers_in_csv_are_whole(tmp_path):
+    frame = pl.DataFrame({"x": [1 / 3, math.nan, 1e-17]})
+    again = pl.read_csv(io.BytesIO(results.csv(frame)), schema={"x": pl.Float64()})
+    assert again["x"][0] == 1 / 3 and again["x"][2] == 1e-17 and math.isnan(again["x"][1])
+
+
+# -- figure and report -------------------------------------------------------------------------
+
+
+def summaries():
+    cells = [(policy, robots) for policy in ("pgf", "or-hitl", "always") for robots in (1, 4, 10)]
+    return [
+        summarise(fleet.config, fleet.records, fleet.events)
+        for policy, robots in cells
+        for fleet in [run(policy, robots=robots, iterate=solved_after([0, robots, None]))]
+    ]
+
+
+def test_figure_has_a_line_for_each_policy():
+    cells = summaries()
+    figure = figure6(cells)
+    times, rates = figure.axes
+    for axes, value in ((times, "planning_time_s"), (rates, "success")):
+        lines = axes.get_lines()
+        assert [line.get_label() for line in axes.containers] == ["pgf", "or-hitl", "always"]
+        assert len(lines) == 3
+        for line, policy in zip(lines, ("pgf", "or-hitl", "always"), strict=True):
+            expected = [getattr(c, value).mean for c in cells if c.policy == policy]
+            np.testing.assert_array_equal(np.array(line.get_ydata(), float), expected)
+            np.testing.assert_allclose(np.array(line.get_xdata(), float), [1, 4, 10], atol=0.25)
+        container = axes.containers[0]
+        assert isinstance(container, ErrorbarContainer)
+        bars = container.lines[2][0].get_segments()
+        for (low, high), cell in zip(bars, cells[:3], strict=True):
+            interval = getattr(cell, value)
+            assert (low[1], high[1]) == pytest.approx((interval.low, interval.high))
+    assert figure.get_suptitle() == (
+        "135 tasks; for each policy: 3 (R = 1), 12 (R = 4), 30 (R = 10)"
+    )
+    picture = png(figure)
+    assert picture.startswith(b"\x89PNG\r\n\x1a\n") and len(picture) > 10_000
+    assert picture == png(figure6(cells))
+
+
+def test_figure_of_one_cell_without_an_outcome():
+    fleet = run(horizon_s=1.0, tasks=1)
+    assert fleet.records[0].status is Status.CENSORED
+    figure = figure6([summarise(fleet.config, fleet.records, fleet.events)])
+    assert png(figure).startswith(b"\x89PNG")
+    assert figure.get_suptitle().startswith("0 tasks")
+
+
+def test_summary_table_fits_a_terminal():
+    file = io.StringIO()
+    console = Console(width=80, file=file)
+    console.print(summary_tables(summaries()))
+    text = file.getvalue()
+    assert "…" not in text
+    assert text.count("or-hitl") == 6
+    row = next(line for line in text.splitlines() if line.split()[:2] == ["or-hitl", "1"])
+    # Solved in 3 and 6 s; the third task fails at the limit. Success 2 of 3, Wilson.
+    assert "0.67 [0.21, 0.94]" in row
+
+
+def test_progress_without_a_terminal_is_lines():
+    file = io.StringIO()
+    console = Console(file=file, width=30)
+    cells = [Cell("pgf", 1, 4), Cell("pgf", 2, 4), Cell("always", 1, 4)]
+    with Report(cells, [cells[2]], console) as report:
+        report.progress(cells[0], 1, 1800 * 10**9)
+        report.finished(cells[1])
+        report.interrupted("there")
+    lines = file.getvalue().splitlines()
+    assert lines[0] == "kept: always_R1"
+    assert lines[1].startswith("finished pgf_R2; 9/12 tasks, 1/2 cells, 0.50 h simulated, ")
+    assert lines[2].startswith("interrupted: 1 of 2 cells were finished and are kept in there; ")
+    assert "--resume" in lines[2] and len(lines) == 3
+
+
+def test_progress_on_a_terminal_and_quiet():
+    file, silence = io.StringIO(), io.StringIO()
+    console = Console(file=file, force_terminal=True, width=100)
+    cell = Cell("pgf", 2, 4)
+    with Report([cell], [], console) as report:
+        report.progress(cell, 3, 1800 * 10**9)
+        report.finished(cell)
+    text = file.getvalue()
+    assert "pgf, R = 2" in text and "8/8" in text and "0.50 h simulated" in text
+    quiet = Console(file=silence, force_terminal=True)
+    with Report([cell], [cell], quiet, quiet=True) as report:
+        report.interrupted("there")
+    assert silence.getvalue() == ""
+
+
+def test_schema_covers_every_field_of_a_record():
+    names = {field.name for field in dataclasses.fields(mixed_fleet().records[0])}
+    assert names - {"terms"} <= set(results.TASK_SCHEMA)
+    assert {kind.value for kind in WorkKind} == {"iteration", "retreat", "input"}

@@ -1,0 +1,527 @@
+import dataclasses
+import json
+import os
+import re
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sweep_toys import RESULTS, content, ghost, tree, write_checkpoints, write_scene
+
+from pgf_jax.errors import BadInput
+from pgf_jax.fleet.metrics import mean_interval, rate_interval
+from pgf_jax.study import results, sweep_run, sweep_setup
+from pgf_jax.study import sweep as sweep_module
+from pgf_jax.study.sweep import sweep
+from pgf_jax.study.sweep_config import Cell, SweepConfig
+from pgf_jax.study.sweep_run import run_in_processes, shares
+from pgf_jax.study.sweep_setup import prepare, task_scene
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A finished sweep, and its result."""
+    out = tmp_path_factory.mktemp("sweep") / "whole"
+    return out, sweep(ghost(out), quiet=True)
+
+
+# -- what comes out ----------------------------------------------------------------------------
+
+
+def test_files_and_columns(whole):
+    out, result = whole
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        [*RESULTS, "manifest.json", "cells"]
+    )
+    tasks, events = result.tasks(), result.events()
+    assert tasks.columns[:5] == ["policy", "robots", "robot", "task", "scene"]
+    assert events.columns[:2] == ["policy", "robots"]
+    assert events.columns[2:] == list(results.EVENT_SCHEMA)
+    assert pl.read_parquet(out / "cells/or-hitl_R2/events.parquet").columns == events.columns[2:]
+    cells = tasks.group_by("policy", "robots", maintain_order=True).len().rows()
+    assert cells == [
+        ("or-hitl", 1, 2),
+        ("or-hitl", 2, 4),
+        ("autonomous", 1, 2),
+        ("autonomous", 2, 4),
+    ]
+    assert result.computed == ("or-hitl_R1", "or-hitl_R2", "autonomous_R1", "autonomous_R2")
+    assert (out / "fig6.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+
+
+def test_summary_says_what_the_tasks_say(whole):
+    out, result = whole
+    tasks, events = result.tasks(), result.events()
+    rows = pl.read_csv(out / "summary.csv").rows(named=True)
+    assert [row["policy"] for row in rows] == ["or-hitl"] * 2 + ["autonomous"] * 2
+    for row in rows:
+        cell = (pl.col("policy") == row["policy"]) & (pl.col("robots") == row["robots"])
+        own = tasks.filter(cell)
+        time = mean_interval(own["planning_time_s"].to_list())
+        assert (row["planning_time_s"], row["planning_time_s_low"]) == pytest.approx(
+            (time.mean, time.low), nan_ok=True
+        )
+        solved = int((own["status"] == "solved").sum())
+        rate = rate_interval(solved, len(own))
+        assert (row["success"], row["success_low"], row["success_high"]) == pytest.approx(
+            (rate.mean, rate.low, rate.high)
+        )
+        hours = own["end_ns"].max() / 3.6e12
+        assert row["tasks_per_hour"] == pytest.approx(solved / hours)
+        assert row["helped"] == pytest.approx((own["grants"] > 0).mean())
+        first = own["first_grant"].mean()
+        assert row["first_grant"] == pytest.approx(np.nan if first is None else first, nan_ok=True)
+        log = events.filter(cell)
+        busy = sum(
+            log.filter(pl.col("kind") == kind)["time_ns"].sum() * sign
+            for kind, sign in (("service_end", 1), ("grant", -1))
+        )
+        assert row["utilisation"] == pytest.approx(busy / own["end_ns"].max())
+    assert set(tasks["status"]) == {"solved", "timed_out", "stuck"} and tasks["grants"].sum() > 0
+
+
+def test_tasks_are_the_same_for_every_policy_and_size(whole):
+    _, result = whole
+    scenes = result.tasks().group_by("robot", "task").agg(pl.col("scene").unique())
+    assert scenes["scene"].list.len().to_list() == [1] * 4
+    assert scenes["scene"].explode().n_unique() == 4
+
+
+def test_same_seed_same_files_other_seed_others(whole, tmp_path):
+    out, _ = whole
+    sweep(ghost(tmp_path / "again"), quiet=True)
+    assert content(tmp_path / "again") == content(out)
+    assert tree(tmp_path / "again" / "cells") == tree(out / "cells")
+    sweep(ghost(tmp_path / "other", seed=1), quiet=True)
+    assert content(tmp_path / "other")["tasks.parquet"] != content(out)["tasks.parquet"]
+
+
+def test_cells_do_not_depend_on_their_company(whole, tmp_path):
+    """Nor on the order in which they were asked for."""
+    out, _ = whole
+    for policy in ("autonomous", "or-hitl"):
+        config = ghost(tmp_path / policy, policies=(policy,), robots=(2,))
+        sweep(config, quiet=True)
+        name = f"cells/{policy}_R2"
+        assert tree(tmp_path / policy / name) == tree(out / name)
+
+
+def test_paired_file_compares_the_policies(whole):
+    out, result = whole
+    table = pl.read_csv(out / "paired.csv")
+    assert set(table.select("policy", "baseline").rows()) == {("or-hitl", "autonomous")}
+    tasks = result.tasks().filter(pl.col("robots") == 2).sort("robot", "task")
+    values = {p: tasks.filter(pl.col("policy") == p)["grants"] for p in ("or-hitl", "autonomous")}
+    row = table.filter(pl.col("robots") == 2, pl.col("value") == "grants").row(0, named=True)
+    assert row["mean"] == pytest.approx((values["or-hitl"] - values["autonomous"]).mean())
+    assert row["n"] == 4
+
+
+def test_horizon_censors(tmp_path):
+    config = ghost(tmp_path, tasks=50, horizon=60.0, robots=(2,))
+    result = sweep(config, quiet=True)
+    assert [s.censored for s in result.summaries] == [2, 2]
+    assert all(s.hours == pytest.approx(60 / 3600) for s in result.summaries)
+    assert result.events().select(pl.col("time_ns").max()).item() == 60 * 10**9
+
+
+# -- manifest ----------------------------------------------------------------------------------
+
+
+def test_manifest(whole):
+    out, result = whole
+    manifest = json.loads((out / "manifest.json").read_text())
+    for name in RESULTS:
+        assert manifest["files"][name] == results.sha256((out / name).read_bytes())
+    assert (manifest["engine"], manifest["lanes"], manifest["rollouts"]) == ("ghost", 4, 8)
+    assert manifest["physics"]["substep_s"] == pytest.approx(3.0 / 8 / 36)
+    assert manifest["config"]["robots"] == [1, 2] and manifest["config"]["out"] == str(out)
+    assert manifest["scenes"] == {"class": "tight", "objects": 20}
+    assert manifest["versions"].keys() >= {"python", "jax", "mujoco", "mujoco-mjx", "flax", "numpy"}
+    assert manifest["wall_clock"]["wall_s"] > 0 and len(manifest["wall_clock"]["compile_s"]) == 1
+    # Without a horizon every iteration that was computed ended, each in a lane of its own.
+    iterations = (result.events()["kind"] == "iteration").sum()
+    occupancy = manifest["occupancy"]
+    assert occupancy["lanes_used"] == iterations
+    assert occupancy["share"] == iterations / (4 * occupancy["calls"])
+    assert [cell["kept"] for cell in manifest["cells"]] == [False] * 4
+
+
+def test_git_commit(tmp_path):
+    from pgf_jax.study.manifest import git_commit
+
+    assert git_commit(tmp_path) is None
+    (tmp_path / ".git").mkdir()  # not a repository
+    assert git_commit(tmp_path) is None
+
+
+# -- predictors and scenes ---------------------------------------------------------------------
+
+
+def test_pgf_bids_the_gains_of_the_checkpoints(tmp_path):
+    folder = write_checkpoints(tmp_path / "predictors")
+    out = tmp_path / "out"
+    config = ghost(out, policies=("pgf", "autonomous"), robots=(2,), predictor=folder)
+    result = sweep(config, quiet=True)
+    events = result.events()
+    reach = events.filter(pl.col("kind") == "iteration")
+    # A gain needs three iterations after the nominal's; it is logged whoever may use it.
+    assert reach.filter(pl.col("iteration") < 3)["gain"].null_count() == len(
+        reach.filter(pl.col("iteration") < 3)
+    )
+    later = reach.filter(pl.col("iteration") >= 3, pl.col("policy") == "autonomous")
+    assert len(later) > 0 and later["gain"].null_count() == 0
+    bids = events.filter(pl.col("kind") == "bid")
+    assert set(bids["policy"]) == {"pgf"} and (bids["gain"] > 1.0).all()
+    trained = json.loads((out / "manifest.json").read_text())["predictors"]
+    assert trained["phi_auto"]["data_sha256"] == "digest of phi_auto"
+    assert trained["phi_human"]["scenes"] == 41
+    digest = results.sha256((folder / "phi_auto.msgpack").read_bytes())
+    assert trained["phi_auto"]["sha256"] == digest
+
+
+def test_scenes_of_a_folder(tmp_path):
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    for i in (1, 2, 10):
+        write_scene(folder / f"shelf_{i}.xml", n_objects=4)
+    out = tmp_path / "out"
+    result = sweep(
+        ghost(out, scenes=folder, tasks=3, policies=("autonomous",), robots=(2,)), quiet=True
+    )
+    names = {"shelf_1", "shelf_2", "shelf_10"}
+    for robot in (0, 1):
+        assert set(result.tasks().filter(pl.col("robot") == robot)["scene"]) == names
+    about = json.loads((out / "manifest.json").read_text())["scenes"]
+    assert (about["files"], about["objects"]) == (3, 4)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), robot=st.integers(0, 40), turn=st.integers(0, 5))
+def test_each_robot_sees_every_file_before_any_twice(scene_files, seed, robot, turn):
+    config = SweepConfig(seed=seed)
+    tasks = range(turn * 5, turn * 5 + 5)
+    drawn = [task_scene(config, scene_files, robot, task).name for task in tasks]
+    assert sorted(drawn) == sorted(scene.name for scene in scene_files)
+    assert drawn == [task_scene(config, scene_files, robot, task).name for task in tasks]
+
+
+@pytest.fixture(scope="module")
+def scene_files():
+    return tuple(task_scene(SweepConfig(), None, 9, task) for task in range(5))
+
+
+def test_sampled_scenes_differ_by_seed_robot_and_task():
+    scenes = [
+        task_scene(SweepConfig(seed=seed, scene_class=name), None, robot, task)
+        for name in ("tight", "wide")
+        for seed in (0, 1)
+        for robot in (0, 1)
+        for task in (0, 1)
+    ]
+    assert len({scene.objects.tobytes() for scene in scenes}) == len(scenes)
+    assert scenes[3].name == "tight_0_1_1"
+    setup = prepare(ghost(sweep_module.Path("x")))
+    assert setup.scene_name(1, 1) == setup.scene(1, 1).name == "tight_0_1_1"
+
+
+# -- resuming ----------------------------------------------------------------------------------
+
+
+def untouched(folder):
+    """Changes when a file is written, even with the same content."""
+    return {path: path.stat().st_ino for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_resume_computes_only_what_is_missing(whole, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    config = ghost(out)
+    sweep(config, quiet=True)
+    cells = sweep_module.Path(out) / "cells"
+    for path in (cells / "or-hitl_R2").iterdir():
+        path.unlink()
+    (cells / "autonomous_R1" / "cell.json").unlink()  # interrupted before its last file
+    kept = {p: untouched(cells / p) for p in ("or-hitl_R1", "autonomous_R2")}
+    result = sweep(dataclasses.replace(config, resume=True), quiet=True)
+    assert result.computed == ("or-hitl_R2", "autonomous_R1")
+    assert {p: untouched(cells / p) for p in kept} == kept
+    assert content(out) == content(whole[0])
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert [cell["kept"] for cell in manifest["cells"]] == [True, False, False, True]
+
+    monkeypatch.setattr(sweep_module, "run_cells", None)  # nothing is left to compute
+    for name in RESULTS:
+        (out / name).unlink()
+    assert sweep(dataclasses.replace(config, resume=True), quiet=True).computed == ()
+    assert content(out) == content(whole[0])
+
+
+def test_resume_may_add_policies_and_sizes(whole, tmp_path):
+    out = tmp_path / "out"
+    sweep(ghost(out, policies=("autonomous",), robots=(2,)), quiet=True)
+    result = sweep(ghost(out, resume=True), quiet=True)
+    assert result.computed == ("or-hitl_R1", "or-hitl_R2", "autonomous_R1")
+    assert content(out) == content(whole[0])
+
+
+def test_resume_of_nothing_starts(whole, tmp_path):
+    sweep(ghost(tmp_path / "new" / "folder", resume=True), quiet=True)
+    assert content(tmp_path / "new" / "folder") == content(whole[0])
+
+
+def test_again_without_resume_computes_again(whole, tmp_path):
+    out = tmp_path / "out"
+    config = ghost(out, policies=("autonomous",))
+    sweep(config, quiet=True)
+    before, files = tree(out / "cells"), untouched(out / "cells")
+    assert sweep(config, quiet=True).computed == ("autonomous_R1", "autonomous_R2")
+    assert tree(out / "cells") == before
+    assert all(files[path] != inode for path, inode in untouched(out / "cells").items())
+
+
+@pytest.mark.parametrize("at", ["cell.json", "events.parquet"])
+def test_interruption_keeps_finished_cells(whole, tmp_path, monkeypatch, capsys, at):
+    """Ctrl-C right after the first cell, or in the middle of writing the second."""
+    out = tmp_path / "out"
+    write, written = results.write_atomically, []
+
+    def interrupted(path, data):
+        if at == "events.parquet" and path.name == at and len(written) >= 3:
+            raise KeyboardInterrupt
+        write(path, data)
+        written.append(path)
+        if at == "cell.json" and path.name == at:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(results, "write_atomically", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(ghost(out))
+    finished = [path.parent.name for path in out.rglob("cell.json")]
+    assert len(finished) == 1
+    assert {p.name for p in out.iterdir()} == {"cells"}
+    assert not [p for p in out.rglob("*") if p.name.startswith(".")]
+    said = " ".join(capsys.readouterr().err.split())
+    # The interruption after the file of the first cell comes before it is counted.
+    assert re.search(f"interrupted: [01] of 4 cells .* kept in {out}; .* --resume", said)
+    monkeypatch.undo()
+    result = sweep(ghost(out, resume=True), quiet=True)
+    assert finished[0] not in result.computed and len(result.computed) == 3
+    assert content(out) == content(whole[0])
+
+
+# -- bad input ---------------------------------------------------------------------------------
+
+
+def refused(config, message, *folders):
+    """The sweep is refused in one line, and changes nothing."""
+    before = [tree(folder) for folder in folders]
+    with pytest.raises(BadInput, match=message) as caught:
+        sweep(config, quiet=True)
+    assert "\n" not in str(caught.value)
+    assert [tree(folder) for folder in folders] == before
+
+
+@pytest.fixture
+def broken(tmp_path):
+    """A folder of things that cannot be used."""
+    for name in ("empty", "malformed", "unequal", "truncated"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "malformed" / "a.xml").write_text("<mujoco")
+    write_scene(tmp_path / "unequal" / "a.xml", 4)
+    write_scene(tmp_path / "unequal" / "b.xml", 3)
+    write_checkpoints(tmp_path / "truncated")
+    file = tmp_path / "truncated" / "phi_human.msgpack"
+    file.write_bytes(file.read_bytes()[:-7])
+    (tmp_path / "file").write_text("")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"operator": "nobody"}, "operator: expected one of .*none.*, got 'nobody'"),
+        ({"scenes": "missing"}, "missing: expected a directory of scene files"),
+        ({"scenes": "empty"}, "empty: holds no scene file"),
+        ({"scenes": "malformed"}, "a.xml: not well-formed XML"),
+        ({"scenes": "unequal"}, "unequal: b has 3 objects, expected 4 as in a"),
+        ({"policies": ("pgf",), "predictor": "missing"}, "missing: no such folder"),
+        ({"predictor": "empty"}, "phi_auto.msgpack: no such file"),
+        ({"predictor": "truncated"}, "phi_human.msgpack: .*(truncated|corrupt)"),
+        ({"out": "file"}, "out: .*file is a file, expected a folder"),
+        ({"out": "file/below"}, "out: .*file/below cannot be made"),
+    ],
+)
+def test_bad_files_and_folders(broken, changes, message):
+    paths = {
+        name: broken / value
+        for name, value in changes.items()
+        if name not in ("operator", "policies")
+    }
+    config = ghost(broken / "out") if "out" not in paths else ghost(paths.pop("out"))
+    refused(dataclasses.replace(config, **(changes | paths | {"out": config.out})), message, broken)
+    assert not (broken / "out").exists()
+
+
+def test_pgf_without_shipped_checkpoints(tmp_path, monkeypatch):
+    def none():
+        raise BadInput("no shipped checkpoints")
+
+    monkeypatch.setattr(sweep_setup, "shipped_checkpoints", none)
+    monkeypatch.setattr("pgf_jax.guidance.checkpoint.shipped_checkpoints", none)
+    refused(ghost(tmp_path / "out", policies=("pgf",)), "no shipped checkpoints", tmp_path)
+    assert prepare(ghost(tmp_path / "out")).predictors is None  # nobody needs them
+
+
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"window": 3.0}, r"of another configuration \(window_s 2.0, now 3.0\)"),
+        ({"seed": 1}, r"of another configuration \(seed 0, now 1\)"),
+        ({"tasks": 3}, r"of another configuration \(tasks 2, now 3\)"),
+        ({"lanes": 2}, r"\(lanes 4, now 2\)"),
+        ({"physics": "paper"}, r"\(substeps 36, now 250; solref_timeconst"),
+        ({"cost": "paper"}, r"\(variant source, now paper\)"),
+        ({"scene_class": "wide"}, r"\(scene_class tight, now wide\)"),
+        (
+            {"robots": (1,)},
+            "results cell (autonomous|or-hitl)_R2, which this configuration has not",
+        ),
+        ({"policies": ("autonomous",)}, "results cell or-hitl_R1, which this configuration"),
+    ],
+)
+def test_results_of_another_configuration(whole, resume, changes, message):
+    out, _ = whole
+    config = ghost(out, resume=resume, **changes)
+    refused(config, f"{out}/cells/.*/cell.json: .*{message}.*; choose another folder", out)
+
+
+def test_another_predictor_is_another_configuration(tmp_path):
+    folder = write_checkpoints(tmp_path / "predictors")
+    out = tmp_path / "out"
+    config = ghost(out, policies=("autonomous",), robots=(1,))
+    sweep(dataclasses.replace(config, predictor=folder), quiet=True)
+    refused(config, "of another configuration", out)
+
+
+@pytest.fixture
+def copy_of_whole(whole, tmp_path):
+    out = tmp_path / "copy"
+    for name, data in tree(whole[0]).items():
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_bytes(data)
+    return out
+
+
+@pytest.mark.parametrize("name", ["tasks.parquet", "events.parquet", "cell.json"])
+def test_resume_refuses_corrupt_cells(copy_of_whole, name):
+    path = copy_of_whole / "cells" / "autonomous_R2" / name
+    path.write_bytes(path.read_bytes()[:-20])
+    refused(ghost(copy_of_whole, resume=True), f"{path}: truncated or corrupt", copy_of_whole)
+
+
+def test_resume_refuses_a_cell_without_its_tables(copy_of_whole):
+    path = copy_of_whole / "cells" / "autonomous_R2" / "tasks.parquet"
+    path.unlink()
+    refused(ghost(copy_of_whole, resume=True), f"{path}: no such file", copy_of_whole)
+
+
+def test_results_without_their_cells(copy_of_whole):
+    for path in copy_of_whole.rglob("cell.json"):
+        path.unlink()
+    for resume in (False, True):
+        config = ghost(copy_of_whole, resume=resume)
+        refused(config, "tasks.parquet: results without the cells", copy_of_whole)
+
+
+def test_other_files_in_the_folder_are_left_alone(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    sweep(ghost(tmp_path, policies=("autonomous",), robots=(1,)), quiet=True)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="nothing is closed to root")
+def test_folder_that_cannot_be_written(tmp_path):
+    tmp_path.chmod(0o500)
+    refused(ghost(tmp_path), "cannot be written to", tmp_path)
+    tmp_path.chmod(0o700)
+
+
+# -- processes, and a real engine --------------------------------------------------------------
+
+
+def test_shares_by_hand():
+    cells = [Cell(policy, robots, 10) for policy in "ab" for robots in (1, 10, 30)]
+    names = [[cell.name for cell in part] for part in shares(cells, 3)]
+    assert names == [["a_R30"], ["b_R30"], ["a_R10", "b_R10", "a_R1", "b_R1"]]
+    assert shares(cells[:1], 4) == [cells[:1]]
+    assert sorted([cell for part in shares(cells, 2) for cell in part], key=cells.index) == cells
+
+
+def native(out, **changes):
+    return ghost(out, engine="native", tasks=1, policies=("autonomous",), lanes=2, **changes)
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory):
+    """Native physics: two fleets in one queue, R = 1 and R = 2."""
+    out = tmp_path_factory.mktemp("native") / "all"
+    return out, sweep(native(out), quiet=True)
+
+
+def test_robots_do_not_change_each_other_bit_for_bit(real):
+    _, result = real
+    tasks = result.tasks().filter(pl.col("robot") == 0)
+    alone, together = (tasks.filter(pl.col("robots") == r).drop("robots") for r in (1, 2))
+    assert len(alone) == 1 and alone.equals(together)
+    events = result.events().filter(pl.col("robot") == 0)
+    alone, together = (events.filter(pl.col("robots") == r).drop("robots") for r in (1, 2))
+    assert len(alone) > 3 and alone.equals(together)
+
+
+def test_processes_change_nothing_bit_for_bit(real, tmp_path):
+    out, _ = real
+    config = native(tmp_path, workers=2)
+    result = sweep(config, quiet=True)
+    assert content(tmp_path) == content(out)
+    assert tree(tmp_path / "cells") == tree(out / "cells")
+    assert len(result.computed) == 2
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    assert len(manifest["wall_clock"]["compile_s"]) == 2
+
+
+class _Deaf:
+    def progress(self, cell, tasks, time_ns):
+        pass
+
+    def finished(self, cell):
+        pass
+
+
+def test_bad_input_comes_out_of_a_process(tmp_path):
+    setup = prepare(ghost(tmp_path))  # `ghost` is registered here, not there
+    with pytest.raises(BadInput, match="unknown engine 'ghost'"):
+        run_in_processes(setup, setup.config.cells(), 1, _Deaf())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_process_that_dies_is_reported(tmp_path, monkeypatch):
+    monkeypatch.setattr(sweep_run, "_work", os._exit)  # called with a Setup: a TypeError there
+    setup = prepare(ghost(tmp_path))
+    with pytest.raises(RuntimeError, match=r"ended early \(exit code 1\)"):
+        run_in_processes(setup, setup.config.cells(), 1, _Deaf())
+
+
+@pytest.mark.slow
+def test_quick_preset(tmp_path):
+    folder = write_checkpoints(tmp_path / "predictors")
+    out = tmp_path / "out"
+    config = SweepConfig(preset="quick", operator="none", predictor=folder, out=out, workers=2)
+    result = sweep(config)
+    assert len(result.tasks()) == 40
+    assert [s.robots for s in result.summaries] == [1, 4, 1, 4]
+    again = dataclasses.replace(config, out=tmp_path / "again", workers=1)
+    sweep(again, quiet=True)
+    assert content(out) == content(tmp_path / "again")

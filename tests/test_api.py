@@ -1,0 +1,61 @@
+"""The public names: found, and found late."""
+
+import importlib
+import subprocess
+import sys
+
+import pytest
+
+import pgf_jax
+
+HEAVY = ("jax", "mujoco", "polars", "matplotlib", "flax", "optax", "tyro", "numpy")
+
+
+def python(code: str) -> str:
+    """What a fresh interpreter prints."""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stderr == ""
+    return done.stdout.strip()
+
+
+def test_importing_imports_nothing_and_prints_nothing():
+    code = f"import sys, pgf_jax; print([m for m in {HEAVY} if m in sys.modules])"
+    assert python(code) == "[]"
+
+
+def test_importing_changes_no_environment():
+    code = "import os; before = dict(os.environ); import pgf_jax, pgf_jax.cli"
+    assert python(f"{code}; print(before == dict(os.environ))") == "True"
+
+
+@pytest.mark.parametrize("name", pgf_jax.__all__)
+def test_every_name_is_its_modules(name):
+    module = importlib.import_module(f"pgf_jax.{pgf_jax._MODULES[name]}")
+    assert getattr(pgf_jax, name) is getattr(module, name)
+    assert name in dir(pgf_jax)
+
+
+@pytest.mark.parametrize("name", ["plan", "sample_scene", "load_scene", "make_engine", "sweep"])
+def test_the_promised_functions_are_there(name):
+    assert callable(getattr(pgf_jax, name))
+
+
+@pytest.mark.parametrize(
+    "name", ["PlanConfig", "SweepConfig", "CollectConfig", "TrainConfig", "FleetConfig", "Physics"]
+)
+def test_configs_need_no_jax(name):
+    code = (
+        f"import sys, pgf_jax; pgf_jax.{name}; print('jax' in sys.modules, 'mujoco' in sys.modules)"
+    )
+    assert python(code) == "False False"
+
+
+def test_what_is_not_there_is_named():
+    with pytest.raises(AttributeError, match="'pgf_jax' has no attribute 'nothing'"):
+        _ = pgf_jax.nothing
+
+
+def test_it_has_a_version():
+    assert pgf_jax.__version__.count(".") == 2

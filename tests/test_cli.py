@@ -1,0 +1,356 @@
+"""The command line: its files, its help, and one line for every kind of bad input."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pgf_jax.cli as cli
+from pgf_jax.cli import COMMANDS, main
+from pgf_jax.errors import BadInput
+from pgf_jax.study.plan_file import load_plan
+
+OBJECT = (
+    '<body name="object_{i}" pos="{x} {y} 0.1826"><joint type="free"/>'
+    '<geom type="cylinder" size="0.03 0.05" mass="1"/></body>'
+)
+CENTRES = [(0.40, 0.20), (0.45, -0.20), (0.50, 0.10)]
+
+
+@pytest.fixture(autouse=True)
+def own_environment(monkeypatch, tmp_path):
+    """What `main` sets for its process is undone after each test."""
+    for name in ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
+        monkeypatch.setenv(name, "1" if name.endswith("SECS") else str(tmp_path / "cache"))
+
+
+def scene_file(path: Path, centres=CENTRES) -> Path:
+    objects = "".join(OBJECT.format(i=i, x=x, y=y) for i, (x, y) in enumerate(centres, 1))
+    path.write_text(f"<mujoco><worldbody>{objects}</worldbody></mujoco>")
+    return path
+
+
+def run(arguments: Sequence[object], capsys) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of `pgf-jax`, in this process."""
+    code = main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def process(*arguments: object) -> subprocess.CompletedProcess:
+    """`python -m pgf_jax` in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "pgf_jax", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+# --- bad input ----------------------------------------------------------------------------------
+
+ARGUMENTS = {
+    "no command": ([], "command: expected one of plan, sweep, collect, train, profile, got none"),
+    "command": (["plane"], "got 'plane'"),
+    "console": (["console"], "command: expected one of plan, sweep"),
+    "option": (["plan", "--preset", "tight", "--bogus", "3"], "unrecognized options: --bogus 3"),
+    "stray": (["plan", "--preset", "tight", "stray"], "unrecognized options: stray"),
+    "no scene": (["plan"], "--scene, --preset: expected one of the two, got neither"),
+    "no file": (["plan", "--scene"], "--scene, --preset: expected one of the two, got neither"),
+    "two": (["plan", "--scene", "a.xml", "--preset", "wide"], "one of the two, got both"),
+    "preset": (
+        ["plan", "--preset", "huge"],
+        "--preset: expected one of tight, medium, wide, got 'huge'",
+    ),
+    "negative": (
+        ["plan", "--preset", "tight", "--count", "-2"],
+        "--count: expected a whole number 1 or more, got -2",
+    ),
+    "count of files": (["plan", "--scene", "a.xml", "--count", "2"], "--count: goes with preset"),
+    "seed": (
+        ["plan", "--preset", "tight", "--seed", "-1"],
+        "--seed: expected a whole number within",
+    ),
+    "seed range": (
+        ["plan", "--preset", "tight", "--seed", 2**32 - 1, "--count", 2],
+        "--seed: expected a whole number within 0..4294967294, got 4294967295",
+    ),
+    "text": (
+        ["plan", "--preset", "tight", "--seed", "x"],
+        "--seed: expected a whole number, got 'x'",
+    ),
+    "number": (
+        ["plan", "--preset", "tight", "--service-mean", "x"],
+        "--service-mean: expected a number, got 'x'",
+    ),
+    "nan": (
+        ["plan", "--preset", "tight", "--service-sd", "nan"],
+        "--service-sd: expected a number",
+    ),
+    "no value": (["plan", "--preset", "tight", "--count"], "--count: expected a value, got none"),
+    "engine": (["plan", "--preset", "tight", "--engine", "bull"], "--engine: expected one of mjx"),
+    "operator": (["plan", "--preset", "tight", "--operator", "x"], "--operator: expected one of"),
+    "physics": (
+        ["plan", "--preset", "tight", "--physics", "x"],
+        "--physics: expected one of default, paper, got 'x'",
+    ),
+    "update": (
+        ["plan", "--preset", "tight", "--update", "x"],
+        "--update: expected one of greedy, stomp, got 'x'",
+    ),
+    "ask": (["plan", "--preset", "tight", "--ask", "after:-1"], "got 'after:-1'"),
+    "lanes": (["plan", "--preset", "tight", "--lanes", "0"], "--lanes: expected a whole number 1"),
+    "limit": (
+        ["plan", "--preset", "tight", "--task-limit", "1"],
+        "--task-limit: expected a number",
+    ),
+    "mode": (
+        ["collect", "both", "--scenes", 1, "--out", "x"],
+        "mode: expected one of autonomous, human, got 'both'",
+    ),
+    "missing": (["collect", "human"], "options missing: --scenes, --out"),
+    "classes": (
+        ["collect", "human", "--scenes", 1, "--out", "x", "--classes", "flat"],
+        "--classes: expected one of medium, tight, wide, got 'flat'",
+    ),
+    "sweep": (["sweep", "--robots", "-1"], "robots"),
+    "sweep preset": (["sweep", "--preset", "x"], "--preset: expected one of paper, quick, got 'x'"),
+    "training": (
+        ["train", "--data", "x", "--out", "y", "--batch", "0"],
+        "batch must be at least 1",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", ARGUMENTS)
+def test_a_wrong_argument_is_one_line(case, capsys):
+    arguments, expected = ARGUMENTS[case]
+    code, out, err = run(arguments, capsys)
+    assert (code, out) == (2, "")
+    assert err.startswith("pgf-jax: ") and err.count("\n") == 1 and err.endswith("\n")
+    assert expected in err
+
+
+def test_a_rejection_of_a_new_kind_is_one_line_too(monkeypatch, capsys):
+    monkeypatch.setattr(cli, "_rejection", lambda event, prog: None)
+    code, out, err = run(["plan", "--preset", "tight", "--physics", "x"], capsys)
+    assert (code, out) == (2, "") and err.count("\n") == 1
+    assert "invalid choice 'x' for argument '--physics'" in err and "│" not in err
+
+
+def bad_scene(path: Path, kind: str) -> Path:
+    """A scene file with something wrong in it."""
+    if kind == "overlap":
+        return scene_file(path, [*CENTRES, (0.41, 0.20)])
+    if kind == "no goal":
+        return scene_file(path, CENTRES[:2])
+    if kind == "outside":
+        return scene_file(path, [(0.40, 0.39), *CENTRES[1:]])
+    scene_file(path)
+    if kind == "truncated":
+        path.write_text(path.read_text()[:-30])
+    if kind == "binary":
+        path.write_bytes(bytes(range(256)))
+    if kind == "missing":
+        path.unlink()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("overlap", "object_1 and object_4 overlap"),
+        ("no goal", "object_3"),
+        ("outside", "object_1 at (0.4, 0.39) is outside the shelf"),
+        ("truncated", "expected"),
+        ("binary", "expected"),
+        ("missing", "no such file"),
+    ],
+)
+def test_a_wrong_scene_is_one_line_and_nothing_is_planned(kind, expected, tmp_path, capsys):
+    good = scene_file(tmp_path / "good.xml")
+    bad = bad_scene(tmp_path / "bad.xml", kind)
+    arguments = ["plan", "--scene", good, bad, "--engine", "native", "--out", tmp_path / "out"]
+    code, out, err = run(arguments, capsys)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"pgf-jax: {bad}: ") and err.count("\n") == 1
+    assert expected in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_scenes_of_one_name_would_share_a_file(tmp_path, capsys):
+    (tmp_path / "a").mkdir()
+    scenes = [scene_file(tmp_path / "s.xml"), scene_file(tmp_path / "a" / "s.xml")]
+    code, _, err = run(["plan", "--scene", *scenes], capsys)
+    assert code == 2 and "--scene: expected scenes of different names, got s twice" in err
+
+
+def test_an_out_that_is_no_folder_is_named(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    code, _, err = run(["plan", "--preset", "tight", "--out", tmp_path / "file"], capsys)
+    assert code == 2 and err.count("\n") == 1
+    assert f"--out {tmp_path / 'file'}: expected a folder to write to" in err
+
+
+@pytest.mark.parametrize("damage", ["missing", "truncated", "foreign"])
+def test_a_wrong_checkpoint_is_one_line(damage, tmp_path, capsys):
+    if damage != "missing":
+        (tmp_path / "phi_auto.msgpack").write_bytes(b"\x82\xa7" if damage == "truncated" else b"x")
+    arguments = ["plan", "--preset", "tight", "--engine", "native", "--ask", "gain"]
+    code, out, err = run([*arguments, "--predictor", tmp_path], capsys)
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1
+    assert f"{tmp_path / 'phi_auto.msgpack'}: " in err
+
+
+def test_data_that_is_not_there_is_one_line(tmp_path, capsys):
+    code, out, err = run(["train", "--data", tmp_path, "--out", tmp_path / "out"], capsys)
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1 and "runs.parquet: no such file" in err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments", [["plan", "--preset", "x"], ["plan", "--scene", "x.xml"], ["plan", "--x"], []]
+)
+def test_bad_input_in_a_process_of_its_own(arguments):
+    done = process(*arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1 and "Traceback" not in done.stderr
+
+
+def test_a_message_of_several_lines_becomes_one(monkeypatch, capsys):
+    def fail(config):
+        raise BadInput("scene\nx")
+
+    monkeypatch.setitem(COMMANDS, "plan", cli.Command("", COMMANDS["plan"].config, fail))
+    assert run(["plan", "--preset", "tight"], capsys) == (2, "", "pgf-jax: scene x\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [(KeyboardInterrupt(), "interrupted"), (KeyboardInterrupt("all is kept"), "all is kept")],
+)
+def test_an_interruption_is_one_line_and_130(error, line, monkeypatch, capsys):
+    def interrupt(config):
+        raise error
+
+    monkeypatch.setitem(COMMANDS, "plan", cli.Command("", COMMANDS["plan"].config, interrupt))
+    assert run(["plan", "--preset", "tight"], capsys) == (130, "", f"pgf-jax: {line}\n")
+
+
+# --- help and laziness --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_of_a_command_needs_no_jax(name):
+    if find_spec(COMMANDS[name].config.split(":")[0]) is None:
+        pytest.skip(f"{name} is not there yet")
+    code = (
+        "import sys; from pgf_jax.cli import main\n"
+        f"assert main(['{name}', '--help']) == 0\n"
+        "assert not {'jax', 'mujoco', 'polars', 'matplotlib', 'flax'} & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f"usage: pgf-jax {name}" in done.stdout
+
+
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+def test_help_lists_the_commands(flag, capsys):
+    code, out, err = run([flag], capsys)
+    assert (code, err) == (0, "")
+    for name, command in COMMANDS.items():
+        assert name in out and command.summary in out
+
+
+def test_the_flags_that_are_promised(capsys):
+    _, out, _ = run(["plan", "--help"], capsys)
+    flags = "scene preset seed count engine physics cost update operator ask lanes out predictor"
+    for flag in flags.split():
+        assert f"--{flag} " in out
+    words = " ".join(out.split())
+    assert words.count("(default: none)") == 1  # the operator
+    assert "(default: stuck)" in words and "(default: mjx)" in words
+
+
+def test_the_version(capsys):
+    code, out, _ = run(["--version"], capsys)
+    assert code == 0 and out.count(".") == 2
+
+
+def test_compiled_programs_are_kept_unless_the_user_says_where(monkeypatch, capsys):
+    seen = []
+    monkeypatch.setitem(COMMANDS, "plan", cli.Command("", COMMANDS["plan"].config, seen.append))
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
+    monkeypatch.setenv("HOME", "/home/somebody")
+    run(["plan", "--preset", "tight"], capsys)
+    assert cli.os.environ["JAX_COMPILATION_CACHE_DIR"] == "elsewhere"
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    run(["plan", "--preset", "tight"], capsys)
+    assert cli.os.environ["JAX_COMPILATION_CACHE_DIR"] == "/home/somebody/.cache/pgf_jax"
+    assert len(seen) == 2
+
+
+# --- what is written ----------------------------------------------------------------------------
+
+
+def test_plans_of_files_and_presets_are_written(tmp_path, capsys):
+    files = [scene_file(tmp_path / f"{name}.xml") for name in ("one", "two")]
+    arguments = ["plan", "--engine", "native", "--out", tmp_path / "plans"]
+    code, out, err = run([*arguments, "--scene", *files, "--seed", "5"], capsys)
+    assert (code, err) == (0, "")
+    assert "one" in out and "two" in out and "engine native" in out
+    one, two = (load_plan(tmp_path / "plans" / f"{name}.plan.json") for name in ("one", "two"))
+    assert one.seed == two.seed == 5
+    np.testing.assert_allclose(one.scene.positions, CENTRES)
+    assert one.scene.goal == 2
+    # Equal scenes of one seed have equal plans: common random numbers.
+    assert one.to_json() == {**two.to_json(), "scene": "one"}
+
+
+def test_a_preset_plan_does_not_depend_on_the_count(tmp_path, capsys):
+    arguments = ["plan", "--preset", "wide", "--engine", "native", "--task-limit", "10"]
+    assert run([*arguments, "--seed", 1, "--count", 2, "--out", tmp_path / "a"], capsys)[0] == 0
+    assert run([*arguments, "--seed", 2, "--out", tmp_path / "b"], capsys)[0] == 0
+    both = sorted(path.name for path in (tmp_path / "a").iterdir())
+    assert both == ["wide_1.plan.json", "wide_2.plan.json"]
+    alone = (tmp_path / "b" / "wide_2.plan.json").read_bytes()
+    assert (tmp_path / "a" / "wide_2.plan.json").read_bytes() == alone
+    assert json.loads(alone)["seed"] == 2
+
+
+def test_an_unsolved_plan_is_no_error_and_is_not_written_unasked(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["plan", "--preset", "wide", "--engine", "native", "--task-limit", "4.5"]
+    code, out, err = run(arguments, capsys)
+    assert (code, err) == (0, "")
+    assert "0 of 1 solved" in out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_collect_writes_runs_and_says_how_to_go_on(tmp_path, capsys):
+    arguments = ["collect", "autonomous", "--scenes", 2, "--out", tmp_path, "--engine", "native"]
+    arguments += ["--task-limit", "4.5", "--classes", "wide"]
+    code, out, err = run(arguments, capsys)
+    assert (code, err) == (0, "")
+    assert "2 wide" in out and "runs.parquet" in out.replace("\n", "")
+    code, out, err = run(arguments, capsys)
+    assert (code, out) == (2, "") and "--resume" in err
+    assert run([*arguments, "--resume"], capsys)[0] == 0
+
+
+def test_an_interrupted_collection_names_resume(tmp_path, monkeypatch, capsys):
+    def interrupt(config, on_progress):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pgf_jax.study.collect.collect", interrupt)
+    arguments = ["collect", "autonomous", "--scenes", 2, "--out", tmp_path, "--engine", "native"]
+    code, out, err = run(arguments, capsys)
+    assert (code, out) == (130, "")
+    assert err.count("\n") == 1 and "--resume" in err
