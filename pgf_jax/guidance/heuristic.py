@@ -30,6 +30,8 @@ class Weights:
     in_hand: float = 3.0  # per object in front of the hand where the push ends: it spoils the push
     wall: float = 60.0  # per metre that the hand would reach into a wall, at the end of push or reach
     distance: float = 1.5  # per metre pushed
+    angle: float = 2.0  # per rad between the pointing direction and the goal: bearing costs reach
+    freed: float = 1.0  # gain for moving an object that stops the best trajectory so far
 
 
 DISTANCES = (0.06, 0.10, 0.15, 0.20)  # m
@@ -117,6 +119,7 @@ class HeuristicOperator:
             + w.in_hand * in_front.sum(1)
             + w.wall * push_wall
             + w.distance * length
+            - w.freed * _culprits(view)[pushed]
         )
 
     def _blocked(self, view: View, ee: np.ndarray, yaw: float, objects: np.ndarray) -> np.ndarray:
@@ -139,7 +142,7 @@ class HeuristicOperator:
         seen = goal - ee + np.array([[c, -s], [s, c]]) @ hand.EE_POINT
         turn = 0.5 * _wrap(np.arctan2(seen[:, 1], seen[:, 0]) - yaw)
         wall = _into_walls(goal - REACH_SHORT * line, view.hand[2] + turn, _OPEN)
-        return each.sum(1) + w.wall * wall
+        return each.sum(1) + w.wall * wall + w.angle * np.abs(turn)
 
 
 def _culprits(view: View) -> np.ndarray:
@@ -156,8 +159,11 @@ def _culprits(view: View) -> np.ndarray:
     goal_and_hand = {view.goal, n}
     for force, (a, b) in zip(view.force[-1], view.bodies[-1], strict=True):
         for one, other in ((a, b), (b, a)):
-            # Only what is ahead of the hand stops it; what slides along its side does not.
-            if force > 1 and one < n and other in goal_and_hand and abs(bearing[one]) < 1.2:
+            # What is ahead of the hand stops it, and what is jammed between hand and wall; what
+            # merely slides along its side does not.
+            stops = other in goal_and_hand and abs(bearing[one % n]) < 1.2 and force > 1
+            jammed = other == n + 1 and force > 20
+            if one < n and (stops or jammed):
                 marked[one] = 1
     marked[view.goal] = 0
     return marked

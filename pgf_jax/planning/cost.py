@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from pgf_jax.physics import hand
-from pgf_jax.physics.engine import Rollout
+from pgf_jax.physics.engine import Array, Rollout
 from pgf_jax.planning.config import Cost
 from pgf_jax.scene.scene import BACK_WALL_X, SIDE_WALL_Y
 
@@ -19,20 +19,20 @@ SIDE_WALLS_FROM_X = 0.20  # m, where the shelf begins
 class Task(NamedTuple):
     """What a segment is for."""
 
-    goal: jax.Array  # [] int32, the object to reach
-    pushing: jax.Array  # [] bool
-    pushed: jax.Array  # [] int32, q_o; any value while reaching
-    target: jax.Array  # [2] m, where q_o shall come to
+    goal: Array  # [] int32, the object to reach
+    pushing: Array  # [] bool
+    pushed: Array  # [] int32, q_o; any value while reaching
+    target: Array  # [2] m, where q_o shall come to
 
 
 class Evaluation(NamedTuple):
     """A rollout's cost and what it achieved."""
 
-    total: jax.Array  # []; +inf where the rollout is not finite
-    terms: jax.Array  # [5]: c_d (pushing: c_h), c_f, c_b, c_e, c_s
-    distance: jax.Array  # [] d(goal), or pushing |q_o - target|, m
-    feasible: jax.Array  # [] bool
-    finite: jax.Array  # [] bool
+    total: Array  # []; +inf where the rollout is not finite
+    terms: Array  # [5]: c_d (pushing: c_h), c_f, c_b, c_e, c_s
+    distance: Array  # [] d(goal), or pushing |q_o - target|, m
+    feasible: Array  # [] bool
+    finite: Array  # [] bool
 
 
 def rotation(yaw: jax.Array) -> jax.Array:

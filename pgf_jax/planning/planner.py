@@ -13,7 +13,7 @@ import numpy as np
 
 from pgf_jax.errors import BadInput
 from pgf_jax.physics import hand
-from pgf_jax.physics.engine import MAX_CONTACTS, Engine, Rollout, World
+from pgf_jax.physics.engine import MAX_CONTACTS, Array, Engine, Rollout, World
 from pgf_jax.planning import nominal
 from pgf_jax.planning.config import Planner as Config
 from pgf_jax.planning.cost import Evaluation, Task, evaluate
@@ -28,15 +28,15 @@ class Search(NamedTuple):
 
     start: World  # where every rollout of the segment starts: [N, 2], [N, 2], [3], []
     task: Task
-    gripper: jax.Array  # [T], fixed with the nominal
-    controls: jax.Array  # [T, 3] of the best so far (at first the nominal)
+    gripper: Array  # [T], fixed with the nominal
+    controls: Array  # [T, 3] of the best so far (at first the nominal)
     best: Rollout  # of the best so far: [T, N, 2] and so on
     value: Evaluation  # of the best so far
-    iteration: jax.Array  # [] int32, done in this segment, the nominal's not counted: -1 before it
-    last_cost: jax.Array  # [] c_(i-1); c_0 counts as 0
-    stuck_count: jax.Array  # [] int32, n
-    history: jax.Array  # [P, 3] (c_d, c_f, c_b) of the best, latest last; nan where none yet
-    non_finite: jax.Array  # [] int32, rollouts of this segment whose cost was not finite
+    iteration: Array  # [] int32, done in this segment, the nominal's not counted: -1 before it
+    last_cost: Array  # [] c_(i-1); c_0 counts as 0
+    stuck_count: Array  # [] int32, n
+    history: Array  # [P, 3] (c_d, c_f, c_b) of the best, latest last; nan where none yet
+    non_finite: Array  # [] int32, rollouts of this segment whose cost was not finite
 
 
 class BatchPlanner:
