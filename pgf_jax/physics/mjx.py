@@ -1,5 +1,8 @@
 """Engine `mjx`: `mjx.step` under `vmap`, float32, one jitted program per batch shape."""
 
+# MuJoCo's compiled modules come without type stubs.
+# pyright: reportAttributeAccessIssue=false
+
 import contextlib
 import io
 

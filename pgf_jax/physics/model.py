@@ -7,6 +7,9 @@ poses follow the gripper through their geoms' poses. Objects are spheres on two 
 planes. Table friction is the joints' frictionloss (D2).
 """
 
+# MuJoCo's compiled modules come without type stubs.
+# pyright: reportAttributeAccessIssue=false
+
 import functools
 from types import ModuleType
 from typing import Any

@@ -1,5 +1,8 @@
 """Engine `native`: MuJoCo's C engine in float64 on a pool of threads; the parity oracle."""
 
+# MuJoCo's compiled modules come without type stubs.
+# pyright: reportAttributeAccessIssue=false
+
 import concurrent.futures
 import copy
 import os
@@ -64,11 +67,11 @@ class NativeEngine:
         )
 
         def one(i: int) -> None:
-            workspace = self._workspaces.get()
+            m, d = self._workspaces.get()
             try:
-                self._one(*workspace, start, controls, gripper, substeps, out, i)
+                self._one(m, d, start, controls, gripper, substeps, out, i)
             finally:
-                self._workspaces.put(workspace)
+                self._workspaces.put((m, d))
 
         list(self._pool.map(one, range(b)))
         return out

@@ -1,5 +1,8 @@
 """Worlds and rollouts that the tests of physics share, and MuJoCo stepped by hand."""
 
+# MuJoCo's compiled modules come without type stubs.
+# pyright: reportAttributeAccessIssue=false
+
 import mujoco
 import numpy as np
 

@@ -18,6 +18,10 @@ _TRACED = {
 OF_LINK = np.array([c[0] for c in hand.CAPSULES])
 
 
+def capsules_of(link):
+    return np.isin(OF_LINK, [link])
+
+
 def test_the_open_hand_is_the_table():
     table = np.array([c[1:5] for c in hand.CAPSULES]).reshape(-1, 2, 2)
     np.testing.assert_allclose(hand.capsule_segments(0.0), table, atol=1e-15)
@@ -33,10 +37,11 @@ def test_links_are_rigid(gripper):
     """All distances between points of one link stay as they are; the palm does not move at all."""
     now, before = hand.capsule_segments(gripper), hand.capsule_segments(0.0)
     for link in {*OF_LINK}:
-        a, b = (s[link == OF_LINK].reshape(-1, 2) for s in (now, before))
+        a, b = (s[capsules_of(link)].reshape(-1, 2) for s in (now, before))
         gaps = [np.linalg.norm(p[:, None] - p[None], axis=-1) for p in (a, b)]
         np.testing.assert_allclose(*gaps, atol=1e-12)
-    np.testing.assert_array_equal(now[OF_LINK == "palm"], before[OF_LINK == "palm"])
+    palm = capsules_of("palm")
+    np.testing.assert_array_equal(now[palm], before[palm])
 
 
 @given(GRIPPERS)
@@ -44,7 +49,7 @@ def test_links_turn_about_their_joints(gripper):
     """A link turns by its own angle in all; the joint's distances within its parent stay."""
     now, before = hand.capsule_segments(gripper), hand.capsule_segments(0.0)
     for name, link in hand.LINKS.items():
-        own = name == OF_LINK
+        own = capsules_of(name)
         if not own.any():
             continue
         along = [np.diff(s[own], axis=1)[:, 0] for s in (before, now)]
@@ -74,7 +79,7 @@ def test_the_follower_hangs_on_the_driver_and_coupler():
         elbow = turn(coupler.joint, np.array(driver.joint), driver.angle / 4)
         arm = np.subtract(follower.joint, coupler.joint)
         joint = elbow + turn(arm, np.zeros(2), coupler.angle / 4)
-        own = f"{side}_follower" == OF_LINK
+        own = capsules_of(f"{side}_follower")
         before, now = hand.capsule_segments(0.0)[own], hand.capsule_segments(255 / 4)[own]
         expected = [
             [joint + turn(p - np.array(follower.joint), np.zeros(2), follower.angle / 4) for p in s]

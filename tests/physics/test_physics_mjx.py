@@ -1,5 +1,7 @@
 """The engine `mjx` against MuJoCo's C engine on sampled scenes."""
 
+from typing import Any
+
 import jax
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from pgf_jax.physics.engine import Rollout, World, make_engine
 B = 16  # the batch that `mjx_engine` is compiled for
 
 
-def single(tree):
+def single(tree: Any) -> Any:
     return jax.tree.map(lambda x: np.asarray(x, np.float32), tree)
 
 
@@ -28,7 +30,8 @@ def rolled(mjx_engine, case) -> Rollout:
 
 @pytest.fixture(scope="module")
 def reference(case) -> Rollout:
-    return make_engine("native", threads=2).rollout(*case, PHYSICS.substeps)
+    start, controls, gripper = case
+    return make_engine("native", threads=2).rollout(start, controls, gripper, PHYSICS.substeps)
 
 
 def test_objects_end_where_native_puts_them(case, rolled, reference):
@@ -79,7 +82,7 @@ def test_one_substep_from_states_on_the_way(mjx_engine):
                 speeds.append(velocity)
                 fingers.append(finger)
                 wanted.append(acceleration)
-    begin = World(*(np.array(x) for x in zip(*states, strict=True)), np.array(fingers))
+    begin = World._make([*map(np.array, zip(*states, strict=True)), np.array(fingers)])
     begin = single(begin)
     held = single(
         (np.repeat(np.array(speeds)[:, None], 8, 1), np.repeat(begin.gripper[:, None], 8, 1))

@@ -1,5 +1,8 @@
 """The planar model and the engine `native` against closed forms, invariants and MuJoCo by hand."""
 
+# MuJoCo's compiled modules come without type stubs.
+# pyright: reportAttributeAccessIssue=false
+
 import dataclasses
 import math
 
@@ -259,9 +262,9 @@ def test_results_do_not_depend_on_threads_or_batch(reaches):
     for threads, order in ((1, range(12)), (2, [5]), (3, [7, 2, 2, 11, 5])):
         engine = make_engine("native", threads=threads)
         order = list(order)
-        part = World(*(x[order] for x in start))
+        part = World._make(x[order] for x in start)
         again = engine.rollout(part, controls[order], gripper[order], PHYSICS.substeps)
-        for a, b in zip(again, Rollout(*(x[order] for x in out)), strict=True):
+        for a, b in zip(again, Rollout._make(x[order] for x in out), strict=True):
             np.testing.assert_array_equal(a, b)
 
 

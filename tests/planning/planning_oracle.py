@@ -58,7 +58,7 @@ def cost(rollout, gripper, task, config):
     last, pose = objects[-1], poses[-1]
     d = [distance(pose, o) for o in last]
     if not (np.isfinite(objects).all() and np.isfinite(poses).all()):
-        return None, math.inf, False
+        return np.full(5, math.nan), math.inf, False
     if task.pushing:
         off = float(np.hypot(*(last[task.pushed] - np.asarray(task.target))))
         first = off if off < 0.05 else config.w_h * off

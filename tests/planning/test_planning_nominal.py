@@ -20,9 +20,8 @@ _push = jax.jit(nominal.push, static_argnums=4)
 
 
 def reach(pose, objects, goal=0, physics=PHYSICS):
-    return _follow(
-        pose, *_reach(_f32(pose), _f32(objects), jnp.int32(goal), physics, Cost()), physics
-    )
+    controls, gripper = _reach(_f32(pose), _f32(objects), jnp.int32(goal), physics, Cost())
+    return _follow(pose, controls, gripper, physics)
 
 
 def push(pose, objects, target, pushed=0, physics=PHYSICS):

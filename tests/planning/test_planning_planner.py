@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pgf_jax.errors import BadInput
 from pgf_jax.physics import hand
 from pgf_jax.physics.config import Physics
-from pgf_jax.physics.engine import MAX_CONTACTS, Rollout
+from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
 from pgf_jax.planning import planner as planner_module
 from pgf_jax.planning.config import Cost, Planner
 from pgf_jax.planning.cost import Task
@@ -39,10 +39,13 @@ class Bulldozer:
 
     def rollout(self, start, controls, gripper, substeps):
         self.calls.append((start, controls, gripper, substeps))
-        start = type(start)(*(np.asarray(x, float) for x in start))
+        start = World._make(np.asarray(x, float) for x in start)
         controls = np.asarray(controls, float)
-        runs = [self.one(*(x[b] for x in start[:3]), controls[b]) for b in range(len(controls))]
-        return Rollout(*(np.stack(arrays) for arrays in zip(*runs, strict=True)))
+        runs = [
+            self.one(start.objects[b], start.velocities[b], start.hand[b], controls[b])
+            for b in range(len(controls))
+        ]
+        return Rollout._make(np.stack(arrays) for arrays in zip(*runs, strict=True))
 
     def one(self, objects, velocities, pose, controls):
         objects, pose = objects.copy(), pose.copy()
@@ -78,12 +81,13 @@ class OraclePlanner:
 
     def __init__(self, engine, search, config):
         self.engine, self.config, self.search = engine, config, search
-        self.best, self.total, self.terms = np.asarray(search.controls, float), math.inf, None
+        self.best, self.total = np.asarray(search.controls, float), math.inf
+        self.terms = np.full(5, math.inf)
         self.stuck, self.history, self.feasible, self.lost = oracle.Stuck(), [], False, 0
 
     def evaluate(self, controls):
-        start = self.search.start
-        run = self.engine.one(*(np.asarray(x, float) for x in start[:3]), controls)
+        objects, velocities, pose, _ = (np.asarray(x, float) for x in self.search.start)
+        run = self.engine.one(objects, velocities, pose, controls)
         task = Task(*(np.asarray(x) for x in self.search.task))
         return oracle.cost(Rollout(*run), self.search.gripper, task, self.config.cost)
 
@@ -144,6 +148,9 @@ def test_plans_as_the_oracle_does(update, kind):
     assert len(counts) > 1 and improved > 2  # else the case would show nothing
 
 
+PAIR = np.array([(0.5, 0.0), (0.5, 0.3)])  # the goal and another object, far from the hand
+
+
 class Scripted:
     """Every rollout costs what the script says: as force, with weight 1 and no threshold.
 
@@ -159,7 +166,7 @@ class Scripted:
 
     def rollout(self, start, controls, gripper, substeps):
         costs = np.broadcast_to(self.script.pop(0), len(controls))
-        still = oracle.still([(0.5, 0.0), (0.5, 0.3)], (0.0, 0.0, 0.0))
+        still = oracle.still(PAIR, (0.0, 0.0, 0.0))
         out = jax.tree.map(lambda x: np.repeat(x[None], len(costs), 0), still)
         out.force[:, -1, 0] = np.where(np.isfinite(costs), costs, 0)
         out.bodies[:, -1, 0] = 0, 2
@@ -173,10 +180,10 @@ class Script:
     def __init__(self):
         self.engine = Scripted()
         self.planner = BatchPlanner(self.engine, Planner(rollouts=3, cost=Scripted.COST))
-        self.search = None
+        self.begin()
 
     def begin(self):
-        self.search = self.planner.begin_reach(start_world([(0.5, 0.0), (0.5, 0.3)]), 0)
+        self.search = self.planner.begin_reach(start_world(PAIR), 0)
 
     def step(self, costs):
         self.engine.script = [np.array(costs, float)]
@@ -273,7 +280,7 @@ def test_stomp_weights_by_hand():
     engine = Scripted()
     config = Planner(rollouts=3, update="stomp", cost=Scripted.COST)
     planner = BatchPlanner(engine, config)
-    search = planner.begin_reach(start_world([(0.5, 0.0), (0.5, 0.3)]), 0)
+    search = planner.begin_reach(start_world(PAIR), 0)
     engine.script = [np.array([500.0]), np.array([500.0])]
     (search,) = planner.step([search], [key(0, 0)])
     noise = np.array(jax.random.normal(key(0, 0), (3, 8, 3)), float) * 0.04

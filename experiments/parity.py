@@ -1,0 +1,140 @@
+"""How far `mjx`, at the settings that ship, ends from MuJoCo C with its solver converged.
+
+    python experiments/parity.py [SCENES_DIR] [--engine mjx] [--count 60] [--json]
+
+Each scene's reach nominal with the planner's noise, 8 times (sigma 0.04, seed 0), on the same MJCF:
+distance of the final positions (3 s) of the objects that `native` moved by more than 5 mm, and the
+relative difference of contact forces over 1 N at the first knot with contact. Without SCENES_DIR,
+on sampled scenes.
+"""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from pgf_jax import load_scene, make_engine, sample_scene
+from pgf_jax.physics.engine import Rollout, World
+from pgf_jax.planning.planner import BatchPlanner, start_world
+from pgf_jax.scene import PRESETS, Scene
+
+MOVED_M, FORCE_N = 0.005, 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """What is compared."""
+
+    scenes: Annotated[Path | None, tyro.conf.Positional] = None  # folder of MJCF scenes
+    engine: str = "mjx"
+    count: int = 60  # scenes
+    seed: int = 0
+    json: bool = False
+
+
+def work(scenes: list[Scene], seed: int) -> tuple[World, np.ndarray, np.ndarray]:
+    """[scenes K] worlds, controls and gripper: nominals with noise."""
+    planner = BatchPlanner(make_engine("native", n_objects=len(scenes[0].objects)))
+    k, sigma = planner.config.rollouts, np.array(planner.config.sigma)
+    searches = [planner.begin_reach(start_world(s.positions), s.goal) for s in scenes]
+    start = World(
+        *(np.repeat(np.stack(f), k, 0) for f in zip(*(s.start for s in searches), strict=True))
+    )
+    controls = np.repeat(np.stack([s.controls for s in searches]), k, 0)
+    noise = sigma * np.random.default_rng(seed).standard_normal(controls.shape)
+    gripper = np.repeat(np.stack([s.gripper for s in searches]), k, 0)
+    return start, (controls + noise).astype(np.float32), gripper
+
+
+def force_differences(reference: Rollout, other: Rollout) -> np.ndarray:
+    """Relative force difference of each pair of bodies over 1 N, first knot with contact."""
+    differences = []
+    for force, bodies, force2, bodies2 in zip(
+        reference.force, reference.bodies, other.force, other.bodies, strict=True
+    ):
+        knots = np.flatnonzero((force > FORCE_N).any(1))
+        if len(knots):
+            k = knots[0]
+            mine, theirs = by_pair(force[k], bodies[k]), by_pair(force2[k], bodies2[k])
+            differences += [
+                abs(theirs.get(pair, 0.0) - f) / f for pair, f in mine.items() if f > FORCE_N
+            ]
+    return np.array(differences)
+
+
+def by_pair(force: np.ndarray, bodies: np.ndarray) -> dict[tuple[int, int], float]:
+    """Summed contact force of each pair of bodies, N."""
+    total: dict[tuple[int, int], float] = {}
+    for f, (a, b) in zip(force, bodies, strict=True):
+        if f > 0:
+            pair = (int(min(a, b)), int(max(a, b)))
+            total[pair] = total.get(pair, 0.0) + float(f)
+    return total
+
+
+def main(config: Config) -> None:
+    """Roll out with both engines and print the distances."""
+    if config.scenes is None:
+        scenes = [sample_scene(config.seed + i, PRESETS[i % 3]) for i in range(config.count)]
+    else:
+        scenes = [load_scene(p) for p in sorted(config.scenes.glob("*.xml"))][: config.count]
+    start, controls, gripper = work(scenes, config.seed)
+    n = len(scenes[0].objects)
+    converged = make_engine("native", n_objects=n, tolerance=1e-10, iterations=200, sleep=False)
+    lanes = 8
+    other = make_engine(config.engine, n_objects=n, lanes=lanes)
+    substeps = converged.physics.substeps
+    reference = converged.rollout(start, controls, gripper, substeps)
+    parts = []
+    size = lanes * 8
+    for i in range(0, len(controls), size):  # one batch shape; the last call is filled up
+        index = np.minimum(np.arange(i, i + size), len(controls) - 1)
+        part = other.rollout(
+            World(*(f[index] for f in start)), controls[index], gripper[index], substeps
+        )
+        keep = min(size, len(controls) - i)
+        parts.append(Rollout(*(np.asarray(f)[:keep] for f in part)))
+    result = Rollout(*(np.concatenate(f) for f in zip(*parts, strict=True)))
+
+    moved = np.linalg.norm(reference.objects[:, -1] - start.objects, axis=-1) > MOVED_M
+    apart = 1e3 * np.linalg.norm(result.objects[:, -1] - reference.objects[:, -1], axis=-1)[moved]
+    forces = force_differences(reference, result)
+    slots = result.force.shape[-1]
+    figures = {
+        "engine": config.engine,
+        "scenes": len(scenes),
+        "rollouts": len(controls),
+        "substep_s": converged.physics.substep_s,
+        "objects_moved": int(moved.sum()),
+        "position_mm": {
+            "median": float(np.median(apart)),
+            "mean": float(apart.mean()),
+            "p95": float(np.percentile(apart, 95)),
+        },
+        "force_relative_median": float(np.median(forces)),
+        "forces_compared": len(forces),
+        # Slots beyond which contacts are dropped, the shallowest first (knot ends only).
+        "knots_with_all_contact_slots_in_use": int(((result.force > 0).sum(-1) == slots).sum()),
+        "non_finite": int((~np.isfinite(result.objects)).any((1, 2, 3)).sum()),
+    }
+    if config.json:
+        print(json.dumps(figures, indent=2))
+    else:
+        p = figures["position_mm"]
+        print(
+            f"{config.engine} against native (tolerance 1e-10): {len(scenes)} scenes, "
+            f"{len(controls)} rollouts, {figures['objects_moved']} objects moved\n"
+            f"final position, mm: median {p['median']:.2f}, mean {p['mean']:.2f}, p95 {p['p95']:.2f}\n"
+            f"contact force over 1 N, first knot with contact: median difference "
+            f"{100 * figures['force_relative_median']:.2f} % of {len(forces)}\n"
+            f"knots with all {slots} contact slots in use: "
+            f"{figures['knots_with_all_contact_slots_in_use']} of {result.force[..., 0].size}; "
+            f"non-finite rollouts: {figures['non_finite']}"
+        )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))

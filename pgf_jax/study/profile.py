@@ -1,0 +1,190 @@
+"""Rollout throughput of the engines, side by side in one run; compile time apart.
+
+The rollouts are the planner's own: sampled scenes of the three classes, reach nominals with the
+planner's noise. Engines take turns call by call, so that another load on the machine meets all.
+"""
+
+import json
+import os
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from typing import Any
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from pgf_jax.physics.config import PHYSICS
+from pgf_jax.physics.engine import Engine, World, make_engine
+from pgf_jax.planning.planner import BatchPlanner, start_world
+from pgf_jax.scene import PRESETS, sample_scene
+from pgf_jax.study.profile_config import ProfileConfig
+
+# The settings each engine is tried at; the fastest is its headline. All of them solve the same
+# problem: `experiments/parity.py` says how far the cheap ones end from the converged solution.
+SETTINGS: dict[str, list[dict[str, Any]]] = {
+    "mjx": [{}],
+    "native": [
+        {"solver": solver, "jacobian": jacobian, "sleep": True}
+        for solver in ("newton", "cg")
+        for jacobian in ("dense", "sparse")
+    ],
+}
+
+
+def profile(config: ProfileConfig) -> dict[str, Any]:
+    """Measure, print (a table or JSON) and return `{"machine": ..., "engines": {NAME: ...}}`.
+
+    An engine's `steps_per_s` is that of its best settings and lane count, which stand beside it
+    (`settings`, `lanes`, `workers`: threads that compute); `by_lanes` has every lane count.
+    """
+    console = Console(stderr=config.json)
+    engines = {name: _measure_all(name, config, console) for name in config.engines}
+    _take_turns(engines, config)
+    result: dict[str, Any] = {"machine": _machine(), "engines": {}}
+    for name, runs in engines.items():
+        best = max(runs, key=lambda run: run["steps_per_s"])
+        result["engines"][name] = {
+            **_plain(best),
+            "memory_lanes": config.memory_lanes,
+            "memory_mib": _memory_mib(name, config),
+            "by_lanes": [_plain(run) for run in runs],
+        }
+    reference = result["engines"].get("native")
+    if reference:
+        for entry in result["engines"].values():
+            entry["ratio_to_native"] = entry["steps_per_s"] / reference["steps_per_s"]
+    if config.json:
+        sys.stdout.write(json.dumps(result, indent=2) + "\n")
+    else:
+        _print(result, console)
+    return result
+
+
+def rollouts(engine: Engine, seed: int) -> tuple[World, np.ndarray, np.ndarray]:
+    """Realistic work for one call: L lanes of K rollouts ([L K] worlds, controls, gripper)."""
+    planner = BatchPlanner(engine)
+    k = planner.config.rollouts
+    searches = []
+    for lane in range(engine.lanes):
+        scene = sample_scene(seed + lane, PRESETS[lane % len(PRESETS)])
+        searches.append(planner.begin_reach(start_world(scene.positions), scene.goal))
+    rng = np.random.default_rng(seed)
+    repeat = lambda xs: np.repeat(np.stack(xs), k, 0)  # noqa: E731
+    start = World(*(repeat(field) for field in zip(*(s.start for s in searches), strict=True)))
+    controls = repeat([s.controls for s in searches])
+    noise = np.array(planner.config.sigma) * rng.standard_normal(controls.shape)
+    return start, (controls + noise).astype(np.float32), repeat([s.gripper for s in searches])
+
+
+def _measure_all(name: str, config: ProfileConfig, console: Console) -> list[dict[str, Any]]:
+    runs = []
+    for settings in SETTINGS.get(name, [{}]):
+        for lanes in config.lanes:
+            physics = PHYSICS[config.physics]
+            engine = make_engine(name, physics=physics, lanes=lanes, **settings)
+            work = rollouts(engine, config.seed)
+            first = _seconds(engine, work)
+            second = _seconds(engine, work)
+            runs.append(
+                {
+                    "engine": engine,
+                    "work": work,
+                    "seconds": [],
+                    "settings": settings,
+                    "lanes": lanes,
+                    "workers": getattr(engine, "threads", os.cpu_count()),
+                    "substep_s": physics.substep_s,
+                    "compile_s": max(0.0, first - second),
+                }
+            )
+            console.print(f"{name} {settings or ''} {lanes} lanes: warm", style="dim")
+    return runs
+
+
+def _take_turns(engines: dict[str, list[dict[str, Any]]], config: ProfileConfig) -> None:
+    runs = [run for of_engine in engines.values() for run in of_engine]
+    for _ in range(config.repeats):
+        for run in runs:
+            run["seconds"].append(_seconds(run["engine"], run["work"]))
+    for run in runs:
+        physics = run["engine"].physics
+        rolled = len(run["work"][1])
+        seconds = statistics.median(run["seconds"])
+        run["call_s"] = seconds
+        run["rollouts_per_s"] = rolled / seconds
+        run["steps_per_s"] = rolled * physics.knots * physics.substeps / seconds
+        run["iterations_per_s"] = run["lanes"] / seconds
+
+
+def _seconds(engine: Engine, work: tuple[World, np.ndarray, np.ndarray]) -> float:
+    begin = time.perf_counter()
+    jax.block_until_ready(engine.rollout(*work, engine.physics.substeps))
+    return time.perf_counter() - begin
+
+
+def _plain(run: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in run.items() if k not in ("engine", "work", "seconds")}
+
+
+_MEMORY_PROBE = """
+import resource, sys, jax
+from pgf_jax.physics.config import PHYSICS
+from pgf_jax.physics.engine import make_engine
+from pgf_jax.study.profile import rollouts
+engine = make_engine(sys.argv[1], physics=PHYSICS[sys.argv[2]], lanes=int(sys.argv[3]))
+jax.block_until_ready(engine.rollout(*rollouts(engine, 0), engine.physics.substeps))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def _memory_mib(name: str, config: ProfileConfig) -> float:
+    """Peak resident memory of a process of its own that rolls one batch of `memory_lanes` out."""
+    probe = [sys.executable, "-c", _MEMORY_PROBE, name, config.physics, str(config.memory_lanes)]
+    return float(subprocess.run(probe, check=True, capture_output=True, text=True).stdout)
+
+
+def _machine() -> dict[str, Any]:
+    return {
+        "platform": platform.platform(),
+        "cores": os.cpu_count(),
+        "device": str(jax.devices()[0]),
+        "jax": jax.__version__,
+        "peak_rss_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+
+
+def _print(result: dict[str, Any], console: Console) -> None:
+    table = Table(title="rollout throughput, engines taking turns in one run")
+    for column in ("engine", "lanes", "threads", "substep ms", "steps/s", "rollouts/s"):
+        table.add_column(column, justify="left" if column == "engine" else "right")
+    for column in ("iterations/s", "compile s", "to native", "settings"):
+        table.add_column(column, justify="left" if column == "settings" else "right")
+    native = result["engines"].get("native", {}).get("steps_per_s")
+    for name, entry in result["engines"].items():
+        for run in entry["by_lanes"]:
+            best = run["steps_per_s"] == entry["steps_per_s"]
+            table.add_row(
+                name,
+                str(run["lanes"]),
+                str(run["workers"]),
+                f"{1e3 * run['substep_s']:.2f}",
+                f"{run['steps_per_s']:,.0f}",
+                f"{run['rollouts_per_s']:.1f}",
+                f"{run['iterations_per_s']:.2f}",
+                f"{run['compile_s']:.1f}",
+                f"{run['steps_per_s'] / native:.2f}" if native else "",
+                " ".join(str(v) for v in run["settings"].values() if not isinstance(v, bool)),
+                style="bold" if best else "",
+            )
+    console.print(table)
+    for name, entry in result["engines"].items():
+        console.print(
+            f"{name}: {entry['memory_mib']:,.0f} MiB resident for a batch of "
+            f"{entry['memory_lanes']} robots"
+        )

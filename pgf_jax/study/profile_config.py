@@ -1,0 +1,36 @@
+"""Settings of `profile`; no JAX here."""
+
+import dataclasses
+
+from pgf_jax.study.checks import one_of, whole
+
+
+@dataclasses.dataclass(frozen=True)
+class ProfileConfig:
+    """What is measured: engines on the same rollouts, in one run, taking turns.
+
+    Attributes:
+      engines: which engines.
+      lanes: lane counts (robots per call) to try; the best one is an engine's headline.
+      repeats: timed calls of each engine and lane count; the median counts.
+      memory_lanes: robots in the batch whose memory is reported.
+      physics: default, or the paper's substep and the authors' softness.
+      seed: of scenes and noise.
+      json: print one JSON object instead of tables.
+    """
+
+    engines: tuple[str, ...] = ("mjx", "native")
+    lanes: tuple[int, ...] = (1, 8, 20)
+    repeats: int = 3
+    memory_lanes: int = 20
+    physics: str = "default"
+    seed: int = 0
+    json: bool = False
+
+    def __post_init__(self) -> None:
+        for lanes in self.lanes:
+            whole("lanes", lanes, 1)
+        whole("repeats", self.repeats, 1)
+        whole("memory_lanes", self.memory_lanes, 1)
+        whole("seed", self.seed, 0)
+        one_of("physics", self.physics, ("default", "paper"))
