@@ -1,11 +1,11 @@
 """Does human input help where planning alone is slow? Hard scenes, same keys, with and without.
 
-    python experiments/help_helps.py [--scenes 330] [--operator heuristic] [--ask after:3] [--brute 8]
+    python experiments/help_helps.py [--scenes 330] [--operator heuristic] [--brute 8]
 
-Scenes of the three classes are planned alone; those unsolved after 6 iterations are the hard ones.
+Scenes of the three classes are planned alone; those unsolved after 6 iterations are hard.
 They are planned again with the same keys and the operator, who is asked after iteration 3 of every
-segment and answers at once. An iteration counts whether it reaches or pushes. `--brute M` also tries,
-on the first M scenes that stay unsolved alone, 96 random pushes each by rollouts (a single push, then
+segment and answers at once. An iteration counts whether it reaches or pushes. `--brute M` also
+tries 96 random pushes on each of the first M scenes that stay unsolved alone (a single push, then
 up to 6 reach iterations): how many scenes a perfect choice of one push would solve, at least.
 """
 

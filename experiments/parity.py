@@ -127,7 +127,8 @@ def main(config: Config) -> None:
         print(
             f"{config.engine} against native (tolerance 1e-10): {len(scenes)} scenes, "
             f"{len(controls)} rollouts, {figures['objects_moved']} objects moved\n"
-            f"final position, mm: median {p['median']:.2f}, mean {p['mean']:.2f}, p95 {p['p95']:.2f}\n"
+            f"final position, mm: median {p['median']:.2f}, mean {p['mean']:.2f}, "
+            f"p95 {p['p95']:.2f}\n"
             f"contact force over 1 N, first knot with contact: median difference "
             f"{100 * figures['force_relative_median']:.2f} % of {len(forces)}\n"
             f"knots with all {slots} contact slots in use: "

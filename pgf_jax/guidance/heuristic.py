@@ -2,9 +2,10 @@
 
 It weighs every push of an object by a hand's breadth or two: how well the hand gets behind the
 object, what is in the way of the push, and above all what the next reach would find: which objects
-stand in the corridor from where the hand will be to the goal, and whether the hand fits beside the
-walls there. Objects that stop the best trajectory so far (in the hand at its end, or pressed by hand
-or goal) count double. The cheapest push wins; after pushes that the planner could not do, the next.
+stand in the corridor from where the hand will be to the goal, how far the hand must turn, and
+whether it fits beside the walls there. Objects that stop the best trajectory so far (in the hand at
+its end, pressed by hand or goal, jammed against a wall) count double. The cheapest push wins; after
+pushes that the planner could not do, the next.
 """
 
 import dataclasses
@@ -28,7 +29,7 @@ class Weights:
     approach: float = 0.35  # per object brushed on the way behind the pushed one
     squeeze: float = 0.5  # per object that the pushed one runs into
     in_hand: float = 3.0  # per object in front of the hand where the push ends: it spoils the push
-    wall: float = 60.0  # per metre that the hand would reach into a wall, at the end of push or reach
+    wall: float = 60.0  # per metre that the hand would be in a wall where push or reach ends
     distance: float = 1.5  # per metre pushed
     angle: float = 2.0  # per rad between the pointing direction and the goal: bearing costs reach
     freed: float = 1.0  # gain for moving an object that stops the best trajectory so far
@@ -36,6 +37,7 @@ class Weights:
 
 DISTANCES = (0.06, 0.10, 0.15, 0.20)  # m
 DIRECTIONS = 16
+FRONT_MOST = 0.28  # m, x of targets: an object that the retreat drags off the front costs (c_e)
 HALF_CLOSED, AHEAD = 0.055, 0.067  # the closed hand's half breadth and its reach ahead of `ee`, m
 _FRONT = hand.capsule_segments(0.0).max((1, 2)) > 0.12  # not the base and the wrist
 _FRONT_RADII = hand.RADII[_FRONT]
@@ -177,8 +179,9 @@ def _candidates(view: View) -> tuple[np.ndarray, np.ndarray]:
     pushed = np.repeat(np.arange(n), len(steps))
     targets = view.objects[pushed] + np.tile(steps, (n, 1))
     x, y = targets.T
-    on_shelf = (x > 0.28) & (x < BACK_WALL_X - 1.6 * RADIUS) & (np.abs(y) < SIDE_WALL_Y - 1.6 * RADIUS)
-    keep = on_shelf & (pushed != view.goal)
+    room = 1.6 * RADIUS
+    deep = (x > FRONT_MOST) & (x < BACK_WALL_X - room)
+    keep = deep & (np.abs(y) < SIDE_WALL_Y - room) & (pushed != view.goal)
     return pushed[keep], targets[keep]
 
 
@@ -192,9 +195,9 @@ def _segment_distance(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.nd
 
 
 def _into_walls(ee: np.ndarray, yaw: np.ndarray, capsules: np.ndarray) -> np.ndarray:
-    """[P] how far a hand with its end effector at `ee` ([P, 2]), turned by `yaw` ([P]), is in a wall, m.
+    """[P] how far a hand at `ee` ([P, 2]), turned by `yaw` ([P]), is in a wall, m.
 
-    `capsules` are [C, 2, 2] axes in the hand's frame, that of the part ahead of the wrist.
+    `capsules` are [C, 2, 2] axes in the hand's frame of what is ahead of the wrist.
     """
     c, s = np.cos(yaw), np.sin(yaw)
     rel = capsules - hand.EE_POINT

@@ -1,8 +1,8 @@
 """The robots of the fleets of one process: planners, operators and predictors behind `Work`.
 
-A `Crew` is one fleet's robots (`fleet.Robots`); the `Computer` is what all crews of the process share:
-an engine, a planner and the predictors. It turns pending work of any crews into fixed-shape calls of
-L lanes, so that no robot's result depends on who shares its call (D8).
+A `Crew` is one fleet's robots (`fleet.Robots`); the `Computer` is what all crews of the process
+share: an engine, a planner and the predictors. It turns pending work of any crews into fixed-shape
+calls of L lanes, so that no robot's result depends on who shares its call (D8).
 """
 
 import dataclasses
@@ -50,7 +50,7 @@ class Robot:
     search: Search
     executed: list[Segment]
     log: RunLog
-    reached_from: World | None = None  # while pushing: where reaching restarts if the push is dropped
+    reached_from: World | None = None  # while pushing: where reaching restarts if it is dropped
     dropped: int = 0  # pushes given since the shelf last changed that could not be planned
     last_reach: Search | None = None  # while pushing: the reach that was asked about
 
@@ -90,7 +90,8 @@ class Computer:
         for i, crew, work in by_kind[WorkKind.INPUT]:
             results[i] = crew.ask(work)
         for part in _parts(by_kind[WorkKind.RETREAT], self.engine.lanes):
-            worlds = self.planner.retreat([crew.robots[work.robot].search for _, crew, work in part])
+            pushes = [crew.robots[work.robot].search for _, crew, work in part]
+            worlds = self.planner.retreat(pushes)
             for (_, crew, work), world in zip(part, worlds, strict=True):
                 crew.pushed(work.robot, world)
         for part in _parts(by_kind[WorkKind.ITERATION], self.engine.lanes):
@@ -127,9 +128,7 @@ class Computer:
         """[len] phi_auto - phi_human; nan while pushing, without history or without predictors."""
         if self.predictors is None:
             return np.full(len(searches), math.nan)
-        features = np.stack(
-            [history_features(self.engine.n_objects, s.history) for s in searches]
-        )
+        features = np.stack([history_features(self.engine.n_objects, s.history) for s in searches])
         pushing = np.array([bool(s.task.pushing) for s in searches])
         return np.where(pushing, math.nan, gain(*self.predictors, features))
 
@@ -168,7 +167,7 @@ class Crew:
         n = self.computer.engine.n_objects
         if len(scene.objects) != n:
             raise BadInput(
-                f"scene {scene.name}: has {len(scene.objects)} objects where the engine simulates {n}"
+                f"scene {scene.name}: has {len(scene.objects)} objects, the engine simulates {n}"
             )
         world = start_world(scene.positions)
         log = RunLog(scene=scene.name, seed=self.seed, scene_class=_class_of(scene), n_objects=n)
