@@ -10,6 +10,9 @@ table `hand.CREEP`: the acceleration of the finger links while their poses are h
 contacts' damping.
 """
 
+# MuJoCo's compiled modules come without type stubs.
+# pyright: reportAttributeAccessIssue=false
+
 import dataclasses
 from pathlib import Path
 from typing import Annotated

@@ -37,6 +37,7 @@ class Search(NamedTuple):
     stuck_count: Array  # [] int32, n
     history: Array  # [P, 3] (c_d, c_f, c_b) of the best, latest last; nan where none yet
     non_finite: Array  # [] int32, rollouts of this segment whose cost was not finite
+    saturated: Array  # [] int32, rollouts with a knot end at which no contact slot was free
 
 
 class BatchPlanner:
@@ -97,7 +98,7 @@ class BatchPlanner:
         noisy = self._propose(batch, np.stack(_pad(keys, lanes)))  # [L, K, T, 3]
         rollout = self._roll(batch, noisy, k)
         if self.config.update == "stomp":
-            blended = self._blend(batch, noisy, rollout)  # [L, 1, T, 3]
+            batch, blended = self._blend(batch, noisy, rollout)  # [L, 1, T, 3]
             winner = self._roll(batch, blended, 1)
             after = self._absorb(batch, blended, winner)
         else:
@@ -163,6 +164,7 @@ class BatchPlanner:
             stuck_count=jnp.int32(0),
             history=jnp.full((HISTORY, 3), jnp.nan),
             non_finite=jnp.int32(0),
+            saturated=jnp.int32(0),
         )
 
     def _reach(self, start: World, goal: jax.Array) -> Search:
@@ -191,7 +193,9 @@ class BatchPlanner:
 
         return jax.vmap(one)(rollout)
 
-    def _blend_one(self, search: Search, noisy: jax.Array, rollout: Rollout) -> jax.Array:
+    def _blend_one(
+        self, search: Search, noisy: jax.Array, rollout: Rollout
+    ) -> tuple[Search, jax.Array]:
         """STOMP's update: noise weighted by exp(-h (S - min S) / (max S - min S)); [1, T, 3].
 
         S is the whole trajectory's cost: most of it falls due at the last knot.
@@ -204,7 +208,7 @@ class BatchPlanner:
         weight = jnp.where(finite, jnp.exp(-self.config.stomp_h * (total - low) / spread), 0.0)
         weight = weight / jnp.maximum(weight.sum(), 1e-30)
         delta = (weight[:, None, None] * (noisy - search.controls[None])).sum(0)
-        return (search.controls + delta)[None]
+        return self._count(search, finite, rollout), (search.controls + delta)[None]
 
     def _absorb_one(self, search: Search, noisy: jax.Array, rollout: Rollout) -> Search:
         """The iteration's winner replaces the best where it is cheaper; then the stuck counter."""
@@ -226,9 +230,8 @@ class BatchPlanner:
         far = ~(c_i - jnp.minimum(best, c_i) <= config.stuck_excess)
         n = jnp.where(no_progress | far, n + 1, 0)
 
-        lost = (~values.finite).astype(jnp.int32)  # [K], of which iteration 0 rolls out but one
         history = jnp.concatenate([search.history[1:], value.terms[None, :3]])
-        return search._replace(
+        return self._count(search, values.finite, rollout)._replace(
             controls=improve(noisy, search.controls),
             best=improve(rollout, search.best),
             value=value,
@@ -236,7 +239,15 @@ class BatchPlanner:
             last_cost=jnp.where(first, 0.0, c_i),
             stuck_count=jnp.where(first, 0, n).astype(jnp.int32),
             history=jnp.where(first, search.history, history),
-            non_finite=search.non_finite + jnp.where(first, lost[:1].sum(), lost.sum()),
+        )
+
+    def _count(self, search: Search, finite: jax.Array, rollout: Rollout) -> Search:
+        """Count what is reported of [K] rollouts; iteration 0 rolls the nominal out K times."""
+        full = (rollout.force > 0).all(-1).any(-1)  # [K]
+        counted = (search.iteration >= 0) | (jnp.arange(len(full)) == 0)
+        return search._replace(
+            non_finite=search.non_finite + (counted & ~finite).sum().astype(jnp.int32),
+            saturated=search.saturated + (counted & full).sum().astype(jnp.int32),
         )
 
     def _retreat_one(self, search: Search) -> tuple[World, jax.Array]:

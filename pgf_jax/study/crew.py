@@ -79,6 +79,7 @@ class Computer:
         self.planner = BatchPlanner(engine, config)
         self.calls = 0  # iteration calls made
         self.lanes_used = 0  # lanes in them that held work
+        self.saturated = 0  # rollouts in which contacts may have been dropped (no slot left)
         self._keys = jax.jit(jax.vmap(_key))
 
     def compute(self, batch: Sequence[tuple["Crew", Work]]) -> list[Any]:
@@ -120,6 +121,7 @@ class Computer:
                 cost=float(new.value.total),
                 non_finite=bool(new.non_finite > old.non_finite),
             )
+            self.saturated += int(new.saturated - old.saturated)
             crew.iterated(work.robot, new, result)
             results.append(result)
         return results

@@ -14,6 +14,7 @@ import jax
 
 import pgf_jax
 from pgf_jax.physics.config import PHYSICS
+from pgf_jax.physics.engine import MAX_CONTACTS
 from pgf_jax.study.results import cell_folder, json_bytes, sha256
 from pgf_jax.study.sweep_config import Cell
 from pgf_jax.study.sweep_run import Effort
@@ -74,6 +75,10 @@ def manifest(
             "calls": calls,
             "lanes_used": used,
             "share": used / (calls * lanes) if calls else None,
+        },
+        "contact_slots": {
+            "rollouts_with_all_in_use": sum(e.saturated for e in efforts),
+            "note": f"at a knot end, of {MAX_CONTACTS}; contacts beyond them are dropped",
         },
         **environment(),
         "files": {name: sha256(data) for name, data in files.items()},

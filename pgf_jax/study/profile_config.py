@@ -33,4 +33,4 @@ class ProfileConfig:
         whole("repeats", self.repeats, 1)
         whole("memory_lanes", self.memory_lanes, 1)
         whole("seed", self.seed, 0)
-        one_of("physics", self.physics, ("default", "paper"))
+        one_of("physics", self.physics, ["default", "paper"])

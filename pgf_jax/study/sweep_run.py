@@ -49,11 +49,13 @@ class Effort:
     Attributes:
       calls: of the engine, one an iteration of up to L robots.
       lanes_used: lanes in them that held work.
+      saturated: rollouts with a knot end at which every contact slot was in use.
       compile_s: time of the first call, compilation included, s.
     """
 
     calls: int
     lanes_used: int
+    saturated: int
     compile_s: float
 
 
@@ -122,7 +124,7 @@ def run_cells(
 
     drive(zip(fleets, crews, strict=True), computer, on_round=after_round)
     after_round()  # the last ones end without another call
-    return Effort(computer.calls, computer.lanes_used, compile_s)
+    return Effort(computer.calls, computer.lanes_used, computer.saturated, compile_s)
 
 
 def _computer(setup: Setup, engine_options: dict[str, Any]) -> Computer:
@@ -155,7 +157,7 @@ def _warm_up(computer: Computer, crew: Crew) -> float:
     start = time.perf_counter()
     crew.begin(0, 0)
     computer.compute([(crew, Work(0, 0, WorkKind.ITERATION, 0))])
-    computer.calls = computer.lanes_used = 0
+    computer.calls = computer.lanes_used = computer.saturated = 0
     return time.perf_counter() - start
 
 
