@@ -1,15 +1,14 @@
-"""Engine `native`: MuJoCo's C engine in float64 on a pool of threads; the parity oracle."""
+"""Engine `native`: MuJoCo's C engine in float64, batched on its own threads; the parity oracle."""
 
 # MuJoCo's compiled modules come without type stubs.
 # pyright: reportAttributeAccessIssue=false
 
-import concurrent.futures
 import copy
 import os
-import queue
 
 import mujoco
 import numpy as np
+from mujoco.batch import Batch
 
 from pgf_jax.physics import hand, model
 from pgf_jax.physics.config import Physics
@@ -42,16 +41,15 @@ class NativeEngine:
         self.threads = threads or len(os.sched_getaffinity(0))
         self._hand_geoms = model.hand_geoms(compiled)
         self._bodies = model.geom_bodies(compiled, n_objects)
-        self._pool = concurrent.futures.ThreadPoolExecutor(self.threads)
-        # A thread works on a model of its own: the fingers move by changing geom poses.
-        self._workspaces: queue.SimpleQueue = queue.SimpleQueue()
-        for _ in range(self.threads):
-            m = copy.copy(compiled)
-            m.opt.solver, m.opt.jacobian = SOLVERS[solver], JACOBIANS[jacobian]
-            m.opt.iterations, m.opt.tolerance = iterations, tolerance
-            if sleep:
-                m.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-            self._workspaces.put((m, mujoco.MjData(m)))
+        self._model = copy.copy(compiled)
+        self._model.opt.solver, self._model.opt.jacobian = SOLVERS[solver], JACOBIANS[jacobian]
+        self._model.opt.iterations, self._model.opt.tolerance = iterations, tolerance
+        # A diverged state stays non-finite instead of being replaced by the model's own.
+        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        if sleep:
+            self._model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+        self._batches: dict[int, Batch] = {}
+        self._scratch = mujoco.MjData(self._model)
 
     def rollout(self, start: World, controls, gripper, substeps: int) -> Rollout:
         """See `Engine.rollout`; float64 arrays."""
@@ -59,66 +57,64 @@ class NativeEngine:
         controls, gripper = np.asarray(controls, np.float64), np.asarray(gripper, np.float64)
         b, t, n = len(controls), controls.shape[1], self.n_objects
         out = Rollout(
-            objects=np.empty((b, t, n, 2)),
-            hand=np.empty((b, t, 3)),
-            velocities=np.empty((b, n, 2)),
+            objects=np.full((b, t, n, 2), np.nan),
+            hand=np.full((b, t, 3), np.nan),
+            velocities=np.full((b, n, 2), np.nan),
             force=np.zeros((b, t, MAX_CONTACTS)),
             bodies=np.zeros((b, t, MAX_CONTACTS, 2), np.int32),
         )
-
-        def one(i: int) -> None:
-            m, d = self._workspaces.get()
-            try:
-                self._one(m, d, start, controls, gripper, substeps, out, i)
-            finally:
-                self._workspaces.put((m, d))
-
-        list(self._pool.map(one, range(b)))
+        batch = self._batch(b)
+        base, dofs = model.HAND_DOFS, model.KINEMATIC_DOFS
+        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
+        qpos[:, :base], qpos[:, dofs:] = start.hand, start.objects.reshape(b, -1)
+        qvel[:, dofs:] = start.velocities.reshape(b, -1)
+        alive = np.ones(b, bool)
+        before = start.gripper.copy()
+        for k in range(t):
+            target = gripper[:, k]
+            for s in range(substeps):
+                if s == 0 or (target != before).any():
+                    now = before + (target - before) * s / substeps
+                    self._pose_fingers(batch, now)
+                    speeds = model.kinematic_velocity(controls[:, k].T, now, self.physics).T
+                qpos[alive, base:dofs] = 0.0
+                qvel[alive, :dofs] = speeds[alive]
+                batch.step(np.flatnonzero(alive))
+            before = target
+            # As MuJoCo judges (nan compares false).
+            alive &= (np.abs(qpos) <= mujoco.mjMAXVAL).all(1)
+            alive &= (np.abs(qvel) <= mujoco.mjMAXVAL).all(1)
+            out.objects[alive, k] = qpos[alive, dofs:].reshape(-1, n, 2)
+            out.hand[alive, k] = qpos[alive, :base]
+            for i in np.flatnonzero(alive):
+                self._contacts(batch, int(i), out.force[i, k], out.bodies[i, k])
+        out.velocities[alive] = qvel[alive, dofs:].reshape(-1, n, 2)
         return out
 
-    def _one(self, m, d, start, controls, gripper, substeps, out: Rollout, i: int) -> None:
-        base, dofs = model.HAND_DOFS, model.KINEMATIC_DOFS
-        mujoco.mj_resetData(m, d)
-        d.qpos[:base], d.qpos[dofs:] = start.hand[i], start.objects[i].ravel()
-        d.qvel[dofs:] = start.velocities[i].ravel()
-        before = start.gripper[i]
-        for k, (velocity, target) in enumerate(zip(controls[i], gripper[i], strict=True)):
-            for s in range(substeps):
-                if s == 0 or target != before:
-                    now = before + (target - before) * s / substeps
-                    self._pose_fingers(m, now)
-                    speeds = model.kinematic_velocity(velocity, now, self.physics)
-                d.qpos[base:dofs] = 0.0
-                d.qvel[:dofs] = speeds
-                mujoco.mj_step(m, d)
-            before = target
-            if _diverged(d):
-                for array in (out.objects[i, k:], out.hand[i, k:], out.velocities[i]):
-                    array[:] = np.nan
-                return
-            out.objects[i, k] = d.qpos[dofs:].reshape(-1, 2)
-            out.hand[i, k] = d.qpos[:base]
-            self._contacts(m, d, out.force[i, k], out.bodies[i, k])
-        out.velocities[i] = d.qvel[dofs:].reshape(-1, 2)
+    def _batch(self, size: int) -> Batch:
+        if size not in self._batches:
+            # Sleeping needs each simulation's own data to persist between steps.
+            batch = Batch(self._model, size, nthread=self.threads, persistent=True)
+            batch.expand("geom_pos")
+            batch.expand("geom_quat")
+            self._batches[size] = batch
+        return self._batches[size]
 
-    def _pose_fingers(self, m: mujoco.MjModel, gripper: float) -> None:
-        positions, quats = hand.capsule_poses(np.float64(gripper))
-        m.geom_pos[self._hand_geoms], m.geom_quat[self._hand_geoms] = positions, quats
+    def _pose_fingers(self, batch: Batch, gripper: np.ndarray) -> None:
+        """Give each simulation's hand the capsule poses of its gripper value."""
+        values, which = np.unique(gripper, return_inverse=True)
+        poses = [hand.capsule_poses(value) for value in values]
+        geoms = self._hand_geoms
+        batch.expand("geom_pos")[:, geoms] = np.stack([p for p, _ in poses])[which]
+        batch.expand("geom_quat")[:, geoms] = np.stack([q for _, q in poses])[which]
 
-    def _contacts(self, m, d, force: np.ndarray, bodies: np.ndarray) -> None:
-        n = min(d.ncon, len(force))
+    def _contacts(self, batch: Batch, i: int, force: np.ndarray, bodies: np.ndarray) -> None:
+        if not batch.bind("ncon")[i]:
+            return
+        d = batch.get_data(i, self._scratch)
         wrench = np.zeros(6)
-        for c in range(n):
-            mujoco.mj_contactForce(m, d, c, wrench)
+        for c in range(min(d.ncon, len(force))):
+            mujoco.mj_contactForce(self._model, d, c, wrench)
             force[c] = np.linalg.norm(wrench[:3])
             bodies[c] = self._bodies[d.contact.geom[c]]
-
-
-def _diverged(d: mujoco.MjData) -> bool:
-    """Whether MuJoCo met a state that is not finite, which it then replaced by the model's own."""
-    bad = (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-    return any(d.warning[w].number for w in bad)

@@ -99,6 +99,7 @@ class OraclePlanner:
         values = [self.evaluate(u) for u in noisy]
         if self.config.update == "stomp":
             totals = [v[1] for v in values]
+            self.lost += totals.count(math.inf)
             noisy = [oracle.stomp_update(self.best, noisy, totals)]
             values = [self.evaluate(noisy[0])]
         self.lost += sum(v[1] == math.inf for v in values)
