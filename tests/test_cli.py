@@ -93,7 +93,7 @@ ARGUMENTS = {
         "--service-sd: expected a number",
     ),
     "no value": (["plan", "--preset", "tight", "--count"], "--count: expected a value, got none"),
-    "engine": (["plan", "--preset", "tight", "--engine", "bull"], "--engine: expected one of mjx"),
+    "engine": (["plan", "--preset", "tight", "--engine", "bull"], "--engine: expected one of "),
     "operator": (["plan", "--preset", "tight", "--operator", "x"], "--operator: expected one of"),
     "physics": (
         ["plan", "--preset", "tight", "--physics", "x"],
