@@ -4,7 +4,7 @@ Axes: B rollouts, T knots, N objects, C contact slots.
 """
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 from pgf_jax.errors import BadInput
@@ -84,6 +84,14 @@ def register_engine(name: str, make: Callable[..., Engine]) -> None:
 def engine_names() -> list[str]:
     """Names that `make_engine` takes."""
     return sorted(_ENGINES)
+
+
+def choice(engine: str, option: str, value: str, choices: Mapping[str, Any]) -> Any:
+    """`choices[value]`, or BadInput that names the engine's option."""
+    if value not in choices:
+        expected = ", ".join(choices)
+        raise BadInput(f"engine {engine}: {option} must be one of {expected}, got {value!r}")
+    return choices[value]
 
 
 def make_engine(

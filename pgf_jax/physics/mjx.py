@@ -17,7 +17,7 @@ with contextlib.redirect_stdout(io.StringIO()):
 
 from pgf_jax.physics import hand, model
 from pgf_jax.physics.config import Physics
-from pgf_jax.physics.engine import Rollout, World
+from pgf_jax.physics.engine import Rollout, World, choice
 
 SOLVERS = {"cg": mujoco.mjtSolver.mjSOL_CG, "newton": mujoco.mjtSolver.mjSOL_NEWTON}
 
@@ -39,7 +39,7 @@ class MjxEngine:
     ) -> None:
         self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
         compiled = mujoco.MjModel.from_xml_string(model.mjcf(physics, n_objects))
-        compiled.opt.solver = SOLVERS[solver]
+        compiled.opt.solver = choice(self.name, "solver", solver, SOLVERS)
         compiled.opt.iterations = iterations
         compiled.opt.ls_iterations = ls_iterations
         compiled.opt.tolerance = 0.0

@@ -12,7 +12,7 @@ from mujoco.batch import Batch
 
 from pgf_jax.physics import hand, model
 from pgf_jax.physics.config import Physics
-from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
+from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World, choice
 
 SOLVERS = {"cg": mujoco.mjtSolver.mjSOL_CG, "newton": mujoco.mjtSolver.mjSOL_NEWTON}
 JACOBIANS = {"dense": mujoco.mjtJacobian.mjJAC_DENSE, "sparse": mujoco.mjtJacobian.mjJAC_SPARSE}
@@ -42,7 +42,8 @@ class NativeEngine:
         self._hand_geoms = model.hand_geoms(compiled)
         self._bodies = model.geom_bodies(compiled, n_objects)
         self._model = copy.copy(compiled)
-        self._model.opt.solver, self._model.opt.jacobian = SOLVERS[solver], JACOBIANS[jacobian]
+        self._model.opt.solver = choice(self.name, "solver", solver, SOLVERS)
+        self._model.opt.jacobian = choice(self.name, "jacobian", jacobian, JACOBIANS)
         self._model.opt.iterations, self._model.opt.tolerance = iterations, tolerance
         # A diverged state stays non-finite instead of being replaced by the model's own.
         self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET

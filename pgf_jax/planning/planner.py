@@ -65,6 +65,8 @@ class BatchPlanner:
                 f"push: object must be within 0..{self.engine.n_objects - 1}, got {push.object}"
             )
         target = np.array([push.x, push.y], np.float32)
+        if not np.isfinite(target).all():
+            raise BadInput(f"push: target must be finite numbers, got ({push.x}, {push.y})")
         return _to_host(
             self._init_push(_as_float32(world), np.int32(goal), np.int32(push.object), target)
         )

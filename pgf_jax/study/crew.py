@@ -246,7 +246,10 @@ def drive(
     at_once: int | None = None,
     on_round: Callable[[], None] | None = None,
 ) -> None:
-    """Run fleets to their ends, all their pending work in shared calls.
+    """Run fleets to their ends, all their pending work in one queue.
+
+    A round takes as many iterations off the queue as a call has lanes, first come first served;
+    what they lead to joins the queue before the next, so that calls stay full while there is work.
 
     Args:
       fleets: with their crews; may be a generator, taken from as fleets end.
@@ -256,8 +259,8 @@ def drive(
     """
     waiting = iter(fleets)
     running: list[tuple[Fleet, Crew]] = []
+    queue: list[tuple[Fleet, Crew, Work]] = []
     while True:
-        batch: list[tuple[Fleet, Crew, Work]] = []
         going: list[tuple[Fleet, Crew]] = []
         source = itertools.chain(running, waiting)
         while at_once is None or len(going) < at_once:
@@ -270,10 +273,14 @@ def drive(
                 crew.finish()
                 continue
             going.append(pair)
-            batch += [(fleet, crew, work) for work in pending]
+            queue += [(fleet, crew, work) for work in pending]
         running = going
         if not running:
             return
+        iterations = [item for item in queue if item[2].kind is WorkKind.ITERATION]
+        batch = [item for item in queue if item[2].kind is not WorkKind.ITERATION]
+        batch += iterations[: computer.engine.lanes]
+        queue = iterations[computer.engine.lanes :]
         results = computer.compute([(crew, work) for _, crew, work in batch])
         for (fleet, _, work), result in zip(batch, results, strict=True):
             fleet.deliver(work, result)
