@@ -79,7 +79,8 @@ def test_a_diverged_rollout_is_not_finite(bad, tmp_path, monkeypatch):
     assert np.isfinite(engine.rollout(start, *idle(2), PHYSICS.substeps).objects).all()
 
 
-@pytest.mark.parametrize("option", ["solver", "jacobian"])
-def test_an_unknown_option_s_value_is_one_line(option):
-    with pytest.raises(BadInput, match=rf"^engine native: {option} must be one of .*, got 'x'$"):
-        make_engine("native", **{option: "x"})
+def test_an_unknown_option_s_value_is_one_line():
+    with pytest.raises(BadInput, match="^engine native: solver must be one of .*, got 'x'$"):
+        make_engine("native", solver="x")
+    with pytest.raises(BadInput, match="^engine native: jacobian must be one of .*, got 'x'$"):
+        make_engine("native", jacobian="x")
