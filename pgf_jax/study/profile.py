@@ -12,6 +12,7 @@ import statistics
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -44,6 +45,8 @@ def profile(config: ProfileConfig) -> dict[str, Any]:
     (`settings`, `lanes`, `workers`: threads that compute); `by_lanes` has every lane count.
     """
     console = Console(stderr=config.json)
+    if not console.is_terminal:
+        console.width = 110
     engines = {name: _measure_all(name, config, console) for name in config.engines}
     _take_turns(engines, config)
     result: dict[str, Any] = {"machine": _machine(), "engines": {}}
@@ -133,18 +136,25 @@ def _plain(run: dict[str, Any]) -> dict[str, Any]:
 
 
 _MEMORY_PROBE = """
-import resource, sys, jax
+import sys, jax
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import make_engine
 from pgf_jax.study.profile import rollouts
 engine = make_engine(sys.argv[1], physics=PHYSICS[sys.argv[2]], lanes=int(sys.argv[3]))
 jax.block_until_ready(engine.rollout(*rollouts(engine, 0), engine.physics.substeps))
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+# Linux carries ru_maxrss over from the parent; VmHWM is this program's own peak.
+status = dict(line.split(":", 1) for line in open("/proc/self/status"))
+print(float(status["VmHWM"].split()[0]) / 1024)
 """
 
 
 def _memory_mib(name: str, config: ProfileConfig) -> float:
-    """Peak resident memory of a process of its own that rolls one batch of `memory_lanes` out."""
+    """Peak resident memory of a process of its own that rolls one batch of `memory_lanes` out.
+
+    nan where the system does not say (not Linux).
+    """
+    if not Path("/proc/self/status").exists():
+        return float("nan")
     probe = [sys.executable, "-c", _MEMORY_PROBE, name, config.physics, str(config.memory_lanes)]
     return float(subprocess.run(probe, check=True, capture_output=True, text=True).stdout)
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from pgf_jax.physics.engine import engine_names
 from pgf_jax.study.checks import one_of, whole
 
 
@@ -28,6 +29,8 @@ class ProfileConfig:
     json: bool = False
 
     def __post_init__(self) -> None:
+        for engine in self.engines:
+            one_of("engines", engine, engine_names())
         for lanes in self.lanes:
             whole("lanes", lanes, 1)
         whole("repeats", self.repeats, 1)

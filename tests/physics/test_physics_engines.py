@@ -80,7 +80,7 @@ def test_a_diverged_rollout_is_not_finite(bad, tmp_path, monkeypatch):
 
 
 def test_an_unknown_option_s_value_is_one_line():
-    with pytest.raises(BadInput, match="^engine native: solver must be one of .*, got 'x'$"):
+    with pytest.raises(BadInput, match=r"^engine native: solver must be one of .*, got 'x'$"):
         make_engine("native", solver="x")
-    with pytest.raises(BadInput, match="^engine native: jacobian must be one of .*, got 'x'$"):
+    with pytest.raises(BadInput, match=r"^engine native: jacobian must be one of .*, got 'x'$"):
         make_engine("native", jacobian="x")
