@@ -1,6 +1,7 @@
 """How far `mjx`, at the settings that ship, ends from MuJoCo C with its solver converged.
 
     python experiments/parity.py [SCENES_DIR] [--engine mjx] [--count 60] [--json]
+    python experiments/parity.py [SCENES_DIR] --engine native --reference-substeps 300
 
 Each scene's reach nominal with the planner's noise, 8 times (sigma 0.04, seed 0), on the same MJCF:
 distance of the final positions (3 s) of the objects that `native` moved by more than 5 mm, and the
@@ -17,6 +18,7 @@ import numpy as np
 import tyro
 
 from pgf_jax import load_scene, make_engine, sample_scene
+from pgf_jax.physics.config import Physics
 from pgf_jax.physics.engine import Rollout, World
 from pgf_jax.physics.model import KINEMATIC_ARMATURE
 from pgf_jax.planning.planner import BatchPlanner, start_world
@@ -33,6 +35,7 @@ class Config:
     engine: str = "mjx"
     count: int = 60  # scenes
     seed: int = 0
+    reference_substeps: int | None = None  # a finer reference: what the substep costs
     json: bool = False
 
 
@@ -87,11 +90,15 @@ def main(config: Config) -> None:
     # MuJoCo measures its tolerance against inertias, the hand's armature among them: 1e-10 of an
     # object's needs this much less.
     tolerance = 1e-10 / KINEMATIC_ARMATURE
-    converged = make_engine("native", n_objects=n, tolerance=tolerance, iterations=200, sleep=False)
+    physics = Physics()
+    if config.reference_substeps is not None:
+        physics = dataclasses.replace(physics, substeps=config.reference_substeps)
+    solver = {"tolerance": tolerance, "iterations": 200, "sleep": False}
+    converged = make_engine("native", physics=physics, n_objects=n, **solver)
     lanes = 8
     other = make_engine(config.engine, n_objects=n, lanes=lanes)
-    substeps = converged.physics.substeps
-    reference = converged.rollout(start, controls, gripper, substeps)
+    substeps = other.physics.substeps
+    reference = converged.rollout(start, controls, gripper, physics.substeps)
     parts = []
     size = lanes * 8
     for i in range(0, len(controls), size):  # one batch shape; the last call is filled up
@@ -111,7 +118,7 @@ def main(config: Config) -> None:
         "engine": config.engine,
         "scenes": len(scenes),
         "rollouts": len(controls),
-        "substep_s": converged.physics.substep_s,
+        "substep_s": other.physics.substep_s,
         "objects_moved": int(moved.sum()),
         "position_mm": {
             "median": float(np.median(apart)),
