@@ -21,13 +21,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import tyro
-from parity import work
 
 from pgf_jax import load_scene, make_engine
 from pgf_jax.physics.engine import World
 from pgf_jax.physics.hand import GRIPPER_CLOSED
 from pgf_jax.planning.config import Cost
 from pgf_jax.planning.cost import reach_distance
+from pgf_jax.study.profile import noisy_nominals
 
 SUBSTEP, KNOT_S = 0.0015, 0.375
 BASE = ("robot_lin_x", "robot_lin_y", "robot_ang_z")
@@ -116,11 +116,11 @@ def main(config: Config) -> None:
             print(gripper, np.round(AuthorsWorld(paths[0]).creep(gripper), 4).tolist())
         return
     scenes = [load_scene(p) for p in paths]
-    start, controls, gripper = work(scenes, 0)
+    engine = make_engine("native")
+    start, controls, gripper = noisy_nominals(engine, scenes, 0)
     k = len(controls) // len(scenes)
     chosen = [i * k + j for i in range(len(scenes)) for j in range(config.rollouts)]
     start, controls, gripper = World(*(f[chosen] for f in start)), controls[chosen], gripper[chosen]
-    engine = make_engine("native")
     planar = engine.rollout(start, controls, gripper, engine.physics.substeps)
     worlds = [AuthorsWorld(p) for p in paths]
     solid = [

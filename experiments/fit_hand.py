@@ -5,7 +5,7 @@
 Prints each moving link's joint and angle (least squares over the four gripper values; the residual
 says how rigid it is) and the capsule that covers each link's footprint best. The fingertips' pads
 are then set by hand: a thin capsule along the inner face and one across the front, reaching
-`hand.TIP_INSET` into the gap.
+6 mm into the gap.
 """
 
 import dataclasses

@@ -21,8 +21,8 @@ from pgf_jax import load_scene, make_engine, sample_scene
 from pgf_jax.physics.config import Physics
 from pgf_jax.physics.engine import Rollout, World
 from pgf_jax.physics.model import KINEMATIC_ARMATURE
-from pgf_jax.planning.planner import BatchPlanner, start_world
-from pgf_jax.scene import PRESETS, Scene
+from pgf_jax.scene import PRESETS
+from pgf_jax.study.profile import noisy_nominals
 
 MOVED_M, FORCE_N = 0.005, 1.0
 
@@ -37,20 +37,6 @@ class Config:
     seed: int = 0
     reference_substeps: int | None = None  # a finer reference: what the substep costs
     json: bool = False
-
-
-def work(scenes: list[Scene], seed: int) -> tuple[World, np.ndarray, np.ndarray]:
-    """[scenes K] worlds, controls and gripper: nominals with noise."""
-    planner = BatchPlanner(make_engine("native", n_objects=len(scenes[0].objects)))
-    k, sigma = planner.config.rollouts, np.array(planner.config.sigma)
-    searches = [planner.begin_reach(start_world(s.positions), s.goal) for s in scenes]
-    start = World(
-        *(np.repeat(np.stack(f), k, 0) for f in zip(*(s.start for s in searches), strict=True))
-    )
-    controls = np.repeat(np.stack([s.controls for s in searches]), k, 0)
-    noise = sigma * np.random.default_rng(seed).standard_normal(controls.shape)
-    gripper = np.repeat(np.stack([s.gripper for s in searches]), k, 0)
-    return start, (controls + noise).astype(np.float32), gripper
 
 
 def force_differences(reference: Rollout, other: Rollout) -> np.ndarray:
@@ -85,7 +71,6 @@ def main(config: Config) -> None:
         scenes = [sample_scene(config.seed + i, PRESETS[i % 3]) for i in range(config.count)]
     else:
         scenes = [load_scene(p) for p in sorted(config.scenes.glob("*.xml"))][: config.count]
-    start, controls, gripper = work(scenes, config.seed)
     n = len(scenes[0].objects)
     # MuJoCo measures its tolerance against inertias, the hand's armature among them: 1e-10 of an
     # object's needs this much less.
@@ -97,6 +82,7 @@ def main(config: Config) -> None:
     converged = make_engine("native", physics=physics, n_objects=n, **solver)
     lanes = 8
     other = make_engine(config.engine, n_objects=n, lanes=lanes)
+    start, controls, gripper = noisy_nominals(converged, scenes, config.seed)
     substeps = other.physics.substeps
     reference = converged.rollout(start, controls, gripper, physics.substeps)
     parts = []

@@ -7,11 +7,11 @@ planner's noise. Engines take turns call by call, so that another load on the ma
 import json
 import os
 import platform
-import resource
 import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from rich.table import Table
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import Engine, World, make_engine
 from pgf_jax.planning.planner import BatchPlanner, start_world
-from pgf_jax.scene import PRESETS, sample_scene
+from pgf_jax.scene import PRESETS, Scene, sample_scene
 from pgf_jax.study.profile_config import ProfileConfig
 
 # The settings each engine is tried at; the fastest is its headline. All of them solve the same
@@ -71,18 +71,30 @@ def profile(config: ProfileConfig) -> dict[str, Any]:
 
 def rollouts(engine: Engine, seed: int) -> tuple[World, np.ndarray, np.ndarray]:
     """Realistic work for one call: L lanes of K rollouts ([L K] worlds, controls, gripper)."""
+    scenes = [sample_scene(seed + i, PRESETS[i % len(PRESETS)]) for i in range(engine.lanes)]
+    return noisy_nominals(engine, scenes, seed)
+
+
+def noisy_nominals(
+    engine: Engine, scenes: Sequence[Scene], seed: int
+) -> tuple[World, np.ndarray, np.ndarray]:
+    """Each scene's reach nominal, K times, with the planner's noise.
+
+    Returns:
+      [scenes K] worlds, [scenes K, T, 3] controls and [scenes K, T] gripper values.
+    """
     planner = BatchPlanner(engine)
     k = planner.config.rollouts
-    searches = []
-    for lane in range(engine.lanes):
-        scene = sample_scene(seed + lane, PRESETS[lane % len(PRESETS)])
-        searches.append(planner.begin_reach(start_world(scene.positions), scene.goal))
-    rng = np.random.default_rng(seed)
-    repeat = lambda xs: np.repeat(np.stack(xs), k, 0)  # noqa: E731
+    searches = [planner.begin_reach(start_world(s.positions), s.goal) for s in scenes]
+
+    def repeat(of_scenes: Iterable[Any]) -> np.ndarray:
+        return np.repeat(np.stack(list(of_scenes)), k, 0)
+
     start = World(*(repeat(field) for field in zip(*(s.start for s in searches), strict=True)))
-    controls = repeat([s.controls for s in searches])
-    noise = np.array(planner.config.sigma) * rng.standard_normal(controls.shape)
-    return start, (controls + noise).astype(np.float32), repeat([s.gripper for s in searches])
+    controls = repeat(s.controls for s in searches)
+    noise = np.random.default_rng(seed).standard_normal(controls.shape)
+    noisy = controls + np.array(planner.config.sigma) * noise
+    return start, noisy.astype(np.float32), repeat(s.gripper for s in searches)
 
 
 def _measure_all(name: str, config: ProfileConfig, console: Console) -> list[dict[str, Any]]:
@@ -165,7 +177,6 @@ def _machine() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "device": str(jax.devices()[0]),
         "jax": jax.__version__,
-        "peak_rss_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
 
 
