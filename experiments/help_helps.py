@@ -1,13 +1,11 @@
 """Does human input help where planning alone is slow? Hard scenes, same keys, with and without.
 
-    python experiments/help_helps.py [--scenes 330] [--operator heuristic] [--brute 8]
+    python experiments/help_helps.py [--scenes 330] [--operator heuristic]
 
 Scenes of the three classes are planned alone; those unsolved after 6 iterations are hard.
 They are planned again with the same keys and the operator, who is asked once, after iteration 3
 (`--again`: after every third), and answers at once. An iteration counts whether it reaches or
-pushes. `--brute M` also tries 96 random pushes on each of the first M scenes that stay unsolved
-alone (a single push, then up to 6 reach iterations): how many scenes a perfect choice of one push
-would solve, at least.
+pushes. What single pushes are worth there, chosen well or badly: `push_outcomes.py`.
 """
 
 import dataclasses
@@ -17,15 +15,13 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from pgf_jax import Plan, PlanConfig, Push, Scene, make_engine, sample_scene
+from pgf_jax import Plan, PlanConfig, sample_scene
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
-from pgf_jax.planning.planner import BatchPlanner, Search, start_world
 from pgf_jax.scene import PRESETS
 from pgf_jax.study.asks import once_after
 from pgf_jax.study.plan import plan_scenes
 
 HARD_AFTER, LIMIT = 6, 30  # iterations
-PUSHES, PUSH_ITERATIONS, REACH_ITERATIONS = 96, 3, 6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,8 +32,8 @@ class Config:
     seed: int = 3000  # of the first scene
     operator: str = "heuristic"
     again: bool = False  # ask after every third iteration, not once
-    engine: str = "native"
-    brute: int = 0  # unsolved scenes on which pushes are tried by rollouts
+    engine: str = "planar"
+    lanes: int = 32
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,12 +60,15 @@ def main(config: Config) -> None:
     ]
     # 1.5 s for iteration 0, 3 s for each further one: a run of exactly LIMIT iterations.
     limit_s = 1.5 + 3.0 * LIMIT
-    alone_config = PlanConfig(engine=config.engine, operator="none", task_limit=limit_s)
+    alone_config = PlanConfig(
+        engine=config.engine, lanes=config.lanes, operator="none", task_limit=limit_s
+    )
     alone = plan_scenes(scenes, alone_config)
     hard = [i for i, plan in enumerate(alone) if not solved_within(plan, HARD_AFTER)]
     console.print(f"{len(hard)} of {len(scenes)} scenes are hard")
     helped_config = (PlanConfig if config.again else Helped)(
         engine=config.engine,
+        lanes=config.lanes,
         operator=config.operator,
         ask="after:3",
         service_mean=0.0,
@@ -78,13 +77,6 @@ def main(config: Config) -> None:
     helped = plan_scenes([scenes[i] for i in hard], helped_config)
     pairs = [(alone[i], with_help) for i, with_help in zip(hard, helped, strict=True)]
     report(console, pairs, config)
-    stuck = [scenes[i][0] for i in hard if not solved_within(alone[i], LIMIT)][: config.brute]
-    if stuck:
-        won = sum(one_push_solves(scene, config.engine) for scene in stuck)
-        console.print(
-            f"brute force over {PUSHES} random single pushes solves {won} of the first {len(stuck)}"
-            " scenes that stay unsolved alone"
-        )
 
 
 def report(console: Console, pairs: list[tuple[Plan, Plan]], config: Config) -> None:
@@ -130,47 +122,6 @@ def report(console: Console, pairs: list[tuple[Plan, Plan]], config: Config) -> 
     )
     pushes = [p[1].pushes for p in pairs]
     console.print(f"pushes executed a helped task: mean {np.mean(pushes):.1f}")
-
-
-def one_push_solves(scene: Scene, engine: str) -> bool:
-    """Whether any of 96 random pushes leads to a solution in a few reach iterations."""
-    planner = BatchPlanner(make_engine(engine, n_objects=len(scene.objects), lanes=24))
-    rng = np.random.default_rng(0)
-    world = start_world(scene.positions)
-    pushes = []
-    while len(pushes) < PUSHES:
-        i, angle, distance = (
-            rng.integers(len(scene.objects)),
-            rng.uniform(0, 2 * np.pi),
-            rng.uniform(0.05, 0.2),
-        )
-        x, y = scene.positions[i] + distance * np.array([np.cos(angle), np.sin(angle)])
-        if i != scene.goal and 0.28 < x < 0.55 and abs(y) < 0.36:
-            pushes.append(planner.begin_push(world, scene.goal, Push(int(i), float(x), float(y))))
-    found = [s for s in iterate(planner, pushes, PUSH_ITERATIONS, rng) if planner.terminate(s)]
-    worlds = [w for part in parts(found) for w in planner.retreat(part)]
-    reaches = [planner.begin_reach(w, scene.goal) for w in worlds]
-    return any(planner.terminate(s) for s in iterate(planner, reaches, REACH_ITERATIONS, rng))
-
-
-def iterate(
-    planner: BatchPlanner, searches: list[Search], iterations: int, rng: np.random.Generator
-) -> list[Search]:
-    """Iterate each search until it is feasible, `iterations` times at most after iteration 0."""
-    searches = list(searches)
-    for _ in range(iterations + 1):
-        for part in parts([i for i, s in enumerate(searches) if not planner.terminate(s)]):
-            keys = rng.integers(0, 2**32, (len(part), 2), dtype=np.uint32)
-            for i, after in zip(
-                part, planner.step([searches[i] for i in part], list(keys)), strict=True
-            ):
-                searches[i] = after
-    return searches
-
-
-def parts(items: list, size: int = 24) -> list:
-    """Chunks of at most `size`."""
-    return [items[i : i + size] for i in range(0, len(items), size)]
 
 
 if __name__ == "__main__":

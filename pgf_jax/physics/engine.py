@@ -55,7 +55,14 @@ class Engine(Protocol):
     n_objects: int
     lanes: int
 
-    def rollout(self, start: World, controls: Array, gripper: Array, substeps: int) -> Rollout:
+    def rollout(
+        self,
+        start: World,
+        controls: Array,
+        gripper: Array,
+        substeps: int,
+        wanted: Array | None = None,
+    ) -> Rollout:
         """Roll out from `start`.
 
         Args:
@@ -63,6 +70,8 @@ class Engine(Protocol):
           controls: [B, T, 3] hand velocity of each knot along the world axes (m/s, m/s, rad/s).
           gripper: [B, T] gripper value that each knot moves to, linearly within the knot.
           substeps: physics substeps per knot.
+          wanted: [B] bool, rollouts that are asked for (None: all); the others, such as a batch's
+            padding, may be left out, and what is returned for them means nothing.
 
         Returns:
           The rollout; non-finite positions mark one that diverged.
@@ -73,6 +82,7 @@ class Engine(Protocol):
 _ENGINES: dict[str, str | Callable[..., Engine]] = {
     "mjx": "pgf_jax.physics.mjx:MjxEngine",
     "native": "pgf_jax.physics.native:NativeEngine",
+    "planar": "pgf_jax.physics.planar.engine:PlanarEngine",
 }
 
 

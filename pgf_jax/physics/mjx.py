@@ -49,8 +49,8 @@ class MjxEngine:
         self._bodies = jnp.asarray(model.geom_bodies(compiled, n_objects))
         self._batched = jax.jit(jax.vmap(self._rollout, in_axes=(0, 0, 0, None)))
 
-    def rollout(self, start: World, controls, gripper, substeps: int) -> Rollout:
-        """See `Engine.rollout`."""
+    def rollout(self, start: World, controls, gripper, substeps: int, wanted=None) -> Rollout:
+        """See `Engine.rollout`; all are computed, wanted or not."""
         return self._batched(start, controls, gripper, substeps)
 
     def _substep(self, data: mjx.Data, velocity: jax.Array, gripper: jax.Array) -> mjx.Data:

@@ -52,8 +52,8 @@ class NativeEngine:
         self._batches: dict[int, Batch] = {}
         self._scratch = mujoco.MjData(self._model)
 
-    def rollout(self, start: World, controls, gripper, substeps: int) -> Rollout:
-        """See `Engine.rollout`; float64 arrays."""
+    def rollout(self, start: World, controls, gripper, substeps: int, wanted=None) -> Rollout:
+        """See `Engine.rollout`; float64 arrays, nan where a rollout is not wanted."""
         start = World(*(np.asarray(x, np.float64) for x in start))
         controls, gripper = np.asarray(controls, np.float64), np.asarray(gripper, np.float64)
         b, t, n = len(controls), controls.shape[1], self.n_objects
@@ -70,7 +70,7 @@ class NativeEngine:
         qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
         qpos[:, :base], qpos[:, dofs:] = start.hand, start.objects.reshape(b, -1)
         qvel[:, dofs:] = start.velocities.reshape(b, -1)
-        alive = np.ones(b, bool)
+        alive = np.ones(b, bool) if wanted is None else np.array(wanted, bool)
         before = start.gripper.copy()
         for k in range(t):
             target = gripper[:, k]

@@ -98,10 +98,13 @@ class BatchPlanner:
         lanes, k = self.engine.lanes, self.config.rollouts
         batch = _stack(_pad(searches, lanes))
         noisy = self._propose(batch, np.stack(_pad(keys, lanes)))  # [L, K, T, 3]
-        rollout = self._roll(batch, noisy, k)
+        # Neither the padding, nor the nominal more than once.
+        used = np.arange(lanes) < len(searches)
+        once = (np.asarray(batch.iteration)[:, None] >= 0) | (np.arange(k) == 0)
+        rollout = self._roll(batch, noisy, used[:, None] & once)
         if self.config.update == "stomp":
             batch, blended = self._blend(batch, noisy, rollout)  # [L, 1, T, 3]
-            winner = self._roll(batch, blended, 1)
+            winner = self._roll(batch, blended, used[:, None])
             after = self._absorb(batch, blended, winner)
         else:
             after = self._absorb(batch, noisy, rollout)
@@ -124,17 +127,19 @@ class BatchPlanner:
         )
         # The same batch shape as an iteration's, so that no second program is compiled.
         start = jax.tree.map(lambda x: np.repeat(np.asarray(x), k, 0), start)
-        out = self.engine.rollout(start, _flat(controls), _flat(gripper), substeps)
+        used = (np.arange(lanes)[:, None] < len(searches)) & (np.arange(k) == 0)
+        out = self.engine.rollout(start, _flat(controls), _flat(gripper), substeps, _flat(used))
         out = jax.tree.map(lambda x: np.asarray(x, np.float32)[::k], out._replace(bodies=out.force))
         worlds = World(out.objects[:, -1], out.velocities, out.hand[:, -1], start.gripper[::k])
         return _unstack(worlds, len(searches))
 
-    def _roll(self, batch: Search, controls: jax.Array, k: int) -> Rollout:
-        """[L, k, T, 3] controls of a batch of searches -> [L, k, ...] rollouts."""
-        lanes = self.engine.lanes
+    def _roll(self, batch: Search, controls: jax.Array, wanted: np.ndarray) -> Rollout:
+        """[L, k, T, 3] controls of a batch of searches -> [L, k, ...] rollouts, where wanted."""
+        lanes, k = wanted.shape
         start = jax.tree.map(lambda x: np.repeat(np.asarray(x), k, 0), batch.start)
         gripper = np.repeat(np.asarray(batch.gripper), k, 0)
-        out = self.engine.rollout(start, _flat(controls), gripper, self.engine.physics.substeps)
+        substeps = self.engine.physics.substeps
+        out = self.engine.rollout(start, _flat(controls), gripper, substeps, _flat(wanted))
         return jax.tree.map(lambda x: x.reshape(lanes, k, *x.shape[1:]), _as_float32(out))
 
     # -- one robot, traced ------------------------------------------------------------------------
@@ -216,9 +221,10 @@ class BatchPlanner:
         """The iteration's winner replaces the best where it is cheaper; then the stuck counter."""
         config = self.config
         values = self._evaluate(search, rollout)
-        winner = jnp.argmin(values.total)
-        c_i, best = values.total[winner], search.value.total
         first = search.iteration < 0
+        asked = ~first | (jnp.arange(len(values.total)) == 0)
+        winner = jnp.argmin(jnp.where(asked, values.total, jnp.inf))
+        c_i, best = values.total[winner], search.value.total
         better = (c_i < best) | first
 
         def improve(new, old):

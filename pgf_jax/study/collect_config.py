@@ -22,7 +22,7 @@ CLASSES = ("tight", "medium", "wide")
 
 @dataclasses.dataclass(frozen=True)
 class CollectConfig:
-    """Plan sampled scenes and keep every iteration, for `train`. On CPU, use native.
+    """Plan sampled scenes and keep every iteration, for `train`.
 
     Attributes:
       mode: autonomous: nobody helps; human: input is given once in each run that lasts so long.
@@ -30,7 +30,7 @@ class CollectConfig:
       out: folder of the data; gets autonomous/runs.parquet or human/runs.parquet.
       classes: scene classes, taken in turn: the mix is even.
       seed: of the first scene.
-      engine: physics engine: mjx, native, or a registered one.
+      engine: physics engine: planar, mjx, native, or a registered one.
       physics: default, or the paper's substep and the authors' softness.
       cost: cost variant: the authors' source, or the paper's text.
       update: greedy or stomp.
@@ -51,7 +51,7 @@ class CollectConfig:
     out: Path
     classes: tuple[Literal["tight", "medium", "wide"], ...] = CLASSES
     seed: int = 0
-    engine: str = "mjx"
+    engine: str = "planar"
     physics: Literal["default", "paper"] = "default"
     cost: Literal["source", "paper"] = "source"
     update: Literal["greedy", "stomp"] = "greedy"

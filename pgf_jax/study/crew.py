@@ -82,6 +82,17 @@ class Computer:
         self.saturated = 0  # rollouts in which contacts may have been dropped (no slot left)
         self._keys = jax.jit(jax.vmap(_key))
 
+    def occupancy(self) -> tuple[int, int]:
+        """(work whose result was used, work computed) since this was last called.
+
+        In the units of an engine that leaves lanes out and counts what it does; else in lanes of
+        iteration calls.
+        """
+        own = getattr(self.engine, "occupancy", None)
+        used, computed = self.lanes_used, self.calls * self.engine.lanes
+        self.calls = self.lanes_used = 0
+        return (used, computed) if own is None else own()
+
     def compute(self, batch: Sequence[tuple["Crew", Work]]) -> list[Any]:
         """Results of pending work, in order: `IterationResult`, None (a retreat) or an input."""
         results: list[Any] = [None] * len(batch)

@@ -40,7 +40,7 @@ def manifest(
     """
     config, efforts, kept = setup.config, list(efforts), set(kept)
     physics = PHYSICS[config.physics]
-    calls, used = sum(e.calls for e in efforts), sum(e.lanes_used for e in efforts)
+    used, computed = sum(e.used for e in efforts), sum(e.computed for e in efforts)
     lanes = config.engine_lanes()
     return {
         "format": FORMAT,
@@ -65,6 +65,7 @@ def manifest(
         "planner": dataclasses.asdict(config.planner()),
         "scenes": _scenes(setup),
         "predictors": setup.predictor_files,
+        "workers": len(efforts),
         "wall_clock": {
             "wall_s": wall_s,
             "compile_s": [effort.compile_s for effort in efforts],
@@ -72,9 +73,10 @@ def manifest(
             "its programs where they were not cached; it covers the cells that were not kept",
         },
         "occupancy": {
-            "calls": calls,
-            "lanes_used": used,
-            "share": used / (calls * lanes) if calls else None,
+            "calls": sum(e.calls for e in efforts),
+            "used": used,
+            "computed": computed,
+            "share": used / computed if computed else None,
         },
         "contact_slots": {
             "rollouts_with_all_in_use": sum(e.saturated for e in efforts),

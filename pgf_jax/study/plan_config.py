@@ -19,7 +19,7 @@ class PlanConfig:
     """How scenes are planned (D3, D4); BadInput where a value is none of its kind.
 
     Attributes:
-      engine: physics engine: mjx, native, or a registered one.
+      engine: physics engine: planar, mjx, native, or a registered one.
       physics: default, or the paper's substep and the authors' softness.
       cost: cost variant: the authors' source, or the paper's text.
       update: greedy keeps an iteration's winner (the paper's); stomp blends the noise by weight.
@@ -33,7 +33,7 @@ class PlanConfig:
       task_limit: planning, waiting and interaction allowed, s of simulated time.
     """
 
-    engine: str = "mjx"
+    engine: str = "planar"
     physics: Literal["default", "paper"] = "default"
     cost: Literal["source", "paper"] = "source"
     update: Literal["greedy", "stomp"] = "greedy"

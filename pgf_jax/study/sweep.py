@@ -91,9 +91,10 @@ def sweep(config: SweepConfig, *, quiet: bool = False) -> SweepResult:
 def _compute(setup: Setup, cells: list[Cell], report: Report) -> list[Effort]:
     if not cells:
         return []
-    if min(setup.config.workers, len(cells)) == 1:
+    processes = min(setup.config.processes(), len(cells))
+    if processes == 1:
         return [run_cells(setup, cells, report)]
-    return run_in_processes(setup, cells, setup.config.workers, report)
+    return run_in_processes(setup, cells, processes, report)
 
 
 def _conclude(setup: Setup, kept: set[Cell], efforts: list[Effort], start: float) -> SweepResult:

@@ -4,6 +4,7 @@ The command line of `pgf-jax sweep` is built from `SweepConfig`.
 """
 
 import dataclasses
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
@@ -21,8 +22,9 @@ from pgf_jax.study.checks import MAX_SEED, at_least, one_of, whole
 CLOCK_S = 1e-9  # the simulated clock counts nanoseconds
 
 # L, robots in one call: a constant of an engine, because `mjx` rounds differently at another L.
-# C MuJoCo rolls out one by one and gains nothing from a larger call, which would only pad more.
-LANES = {"mjx": 8, "native": 1}
+# C MuJoCo rolls out one by one and gains nothing from a larger call, which would only pad more;
+# `planar` computes no padding, and fills its chunks better from a larger call.
+LANES = {"mjx": 8, "native": 1, "planar": 32}
 OTHER_LANES = 8
 
 # These never look at a gain.
@@ -106,7 +108,8 @@ class SweepConfig:
       compute: dedicated (every robot has a computer), or shared:C (all share one of C cores).
       predictor: folder of phi_auto.msgpack and phi_human.msgpack; None: the shipped ones.
       horizon: simulated time at which every fleet is stopped, s; None: when its tasks are done.
-      workers: processes that share the cells; results do not depend on it.
+      workers: processes that share the cells, each on cores of its own; results do not depend on
+        it. None: one a core for planar, whose calls use one; else one.
       lanes: L, robots computed in one call; results are bit-equal for equal L only. None: a
         constant of the engine.
       out: folder of the results.
@@ -122,7 +125,7 @@ class SweepConfig:
     policies: tuple[str, ...] | None = None
     tasks: int | None = None
     seed: int = 0
-    engine: str = "mjx"
+    engine: str = "planar"
     physics: Literal["default", "paper"] = "default"
     cost: Literal["source", "paper"] = "source"
     update: Literal["greedy", "stomp"] = "greedy"
@@ -138,7 +141,7 @@ class SweepConfig:
     compute: str = "dedicated"
     predictor: Path | None = None
     horizon: float | None = None
-    workers: int = 1
+    workers: int | None = None
     lanes: int | None = None
     out: Path = Path("results/sweep")
     resume: bool = False
@@ -258,6 +261,11 @@ class SweepConfig:
     def engine_lanes(self) -> int:
         """L."""
         return self.lanes if self.lanes is not None else LANES.get(self.engine, OTHER_LANES)
+
+    def processes(self) -> int:
+        """Worker processes, at most one a cell."""
+        cores = len(os.sched_getaffinity(0)) if self.engine == "planar" else 1
+        return min(self.workers or cores, len(self.cells()))
 
     def needs_gains(self) -> bool:
         """Whether some policy bids predicted gains; a policy of the user's own is taken to."""

@@ -48,13 +48,15 @@ class Effort:
 
     Attributes:
       calls: of the engine, one an iteration of up to L robots.
-      lanes_used: lanes in them that held work.
+      used: work whose result was used, in the engine's units (see `Computer.occupancy`).
+      computed: work done, empty lanes included.
       saturated: rollouts with a knot end at which every contact slot was in use.
       compile_s: time of the first call, compilation included, s.
     """
 
     calls: int
-    lanes_used: int
+    used: int
+    computed: int
     saturated: int
     compile_s: float
 
@@ -81,7 +83,6 @@ def run_cells(
     listener: Listener,
     *,
     stop: Callable[[], bool] = lambda: False,
-    engine_options: dict[str, Any] | None = None,
 ) -> Effort:
     """Compute cells in this process, their work in one queue; each is written when it is finished.
 
@@ -90,13 +91,12 @@ def run_cells(
       cells: in any company: no cell's results depend on the others.
       listener: told after every call of the engine.
       stop: asked after every call whether to give up.
-      engine_options: of `make_engine`; must not change results.
 
     Raises:
       Stopped: `stop` said so; finished cells have been written.
     """
     config = setup.config
-    computer = _computer(setup, engine_options or {})
+    computer = _computer(setup)
     crew = functools.partial(
         Crew,
         computer,
@@ -124,10 +124,11 @@ def run_cells(
 
     drive(zip(fleets, crews, strict=True), computer, on_round=after_round)
     after_round()  # the last ones end without another call
-    return Effort(computer.calls, computer.lanes_used, computer.saturated, compile_s)
+    calls = computer.calls
+    return Effort(calls, *computer.occupancy(), computer.saturated, compile_s)
 
 
-def _computer(setup: Setup, engine_options: dict[str, Any]) -> Computer:
+def _computer(setup: Setup) -> Computer:
     config = setup.config
     kept = _compiled(
         config.engine,
@@ -135,7 +136,6 @@ def _computer(setup: Setup, engine_options: dict[str, Any]) -> Computer:
         config.planner(),
         config.engine_lanes(),
         setup.n_objects,
-        **engine_options,
     )
     computer = copy.copy(kept)  # its own predictors and counters
     computer.predictors = setup.predictors
@@ -144,12 +144,10 @@ def _computer(setup: Setup, engine_options: dict[str, Any]) -> Computer:
 
 @functools.lru_cache(maxsize=4)
 def _compiled(
-    engine: str, physics: Physics, planner: Planner, lanes: int, n_objects: int, **options: Any
+    engine: str, physics: Physics, planner: Planner, lanes: int, n_objects: int
 ) -> Computer:
     """Kept: a second sweep of the same settings in one process compiles nothing again."""
-    return Computer(
-        make_engine(engine, physics=physics, n_objects=n_objects, lanes=lanes, **options), planner
-    )
+    return Computer(make_engine(engine, physics=physics, n_objects=n_objects, lanes=lanes), planner)
 
 
 def _warm_up(computer: Computer, crew: Crew) -> float:
@@ -157,7 +155,8 @@ def _warm_up(computer: Computer, crew: Crew) -> float:
     start = time.perf_counter()
     crew.begin(0, 0)
     computer.compute([(crew, Work(0, 0, WorkKind.ITERATION, 0))])
-    computer.calls = computer.lanes_used = computer.saturated = 0
+    computer.occupancy()
+    computer.saturated = 0
     return time.perf_counter() - start
 
 
@@ -191,16 +190,15 @@ def run_in_processes(
     context = multiprocessing.get_context("spawn")  # JAX's threads do not survive a fork
     stop = context.Event()
     settings = {name: getattr(jax.config, name) for name in _JAX_SETTINGS}
-    options = {}
-    if setup.config.engine == "native":
-        # Each rollout has its own thread and no part in another's result.
-        options["threads"] = max(1, len(os.sched_getaffinity(0)) // len(parts))
+    cores = sorted(os.sched_getaffinity(0))
     processes, pending, efforts = [], {}, []
     try:
-        for part in parts:
+        for number, part in enumerate(parts):
+            # Cores of its own: the threads of several processes would only wait for each other.
+            pinned = cores[number :: len(parts)] or [cores[number % len(cores)]]
             ours, theirs = context.Pipe(duplex=False)
             process = context.Process(
-                target=_work, args=(setup, part, theirs, stop, settings, options), daemon=True
+                target=_work, args=(setup, part, theirs, stop, settings, pinned), daemon=True
             )
             with _uninterruptible():
                 process.start()
@@ -279,9 +277,10 @@ def _work(
     connection: Connection,
     stop: Any,
     settings: dict[str, Any],
-    options: dict[str, Any],
+    cores: Sequence[int],
 ) -> None:
     """The main function of a process."""
+    os.sched_setaffinity(0, cores)  # before JAX and MuJoCo count them to start their threads
     for name, value in settings.items():
         jax.config.update(name, value)
     parent = multiprocessing.parent_process()
@@ -291,9 +290,7 @@ def _work(
 
     with contextlib.suppress(BrokenPipeError, Stopped):
         try:
-            effort = run_cells(
-                setup, cells, _Sender(connection), stop=stopping, engine_options=options
-            )
+            effort = run_cells(setup, cells, _Sender(connection), stop=stopping)
             connection.send(("done", effort))
         except (Stopped, BrokenPipeError):
             raise

@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance.heuristic import HeuristicOperator, _culprits
+from pgf_jax.guidance.heuristic import WALL_PATIENCE, WALL_ROOM, HeuristicOperator, _culprits
 from pgf_jax.guidance.operators import View, make_operator, operator_names, register_operator
 from pgf_jax.planning.types import Push
 from pgf_jax.scene import sample_scene
+from pgf_jax.scene.scene import SIDE_WALL_Y
 
 KNOTS, SLOTS = 8, 4
 
@@ -41,6 +42,12 @@ def decide(view: View) -> Push:
     return push
 
 
+def request_answered(scene) -> int:
+    """The first request that is answered with a push."""
+    room = SIDE_WALL_Y - abs(scene.positions[scene.goal, 1])
+    return WALL_PATIENCE if room < WALL_ROOM else 0
+
+
 def test_the_blocker_at_the_front_is_pushed_into_the_shelf():
     goal, front, deep = (0.50, -0.01), (0.34, -0.01), (0.50, 0.12)
     push = decide(shelf([goal, front, deep]))
@@ -59,6 +66,22 @@ def test_every_second_time_the_robot_tries_for_itself():
     objects = [(0.50, -0.01), (0.34, -0.01)]
     given = [HeuristicOperator().decide(shelf(objects, request=n)) for n in range(4)]
     assert [push is None for push in given] == [False, True, False, True]
+
+
+def test_at_a_side_wall_the_robot_tries_for_longer():
+    """Going on solves as many of these as a push does; only then is one tried."""
+    near, clear = SIDE_WALL_Y - WALL_ROOM + 0.01, SIDE_WALL_Y - WALL_ROOM - 0.01
+    given = [
+        [
+            HeuristicOperator().decide(shelf([(0.50, side * y), (0.34, side * y)], request=n))
+            for n in range(WALL_PATIENCE + 3)
+        ]
+        for y in (near, clear)
+        for side in (1, -1)
+    ]
+    pushes = [[push is not None for push in of_goal] for of_goal in given]
+    at_wall = [False] * WALL_PATIENCE + [True, False, True]
+    assert pushes == [at_wall] * 2 + [[True, False] * 3] * 2
 
 
 def test_there_may_be_nothing_to_push():
@@ -92,7 +115,7 @@ def test_nothing_is_a_culprit_before_the_first_rollout():
 @given(seed=st.integers(0, 2**31), preset=st.sampled_from(["tight", "medium", "wide"]))
 def test_any_push_stays_on_the_shelf_and_leaves_the_goal_alone(seed, preset):
     scene = sample_scene(seed, preset)
-    view = shelf(scene.positions, scene.goal)
+    view = shelf(scene.positions, scene.goal, request=request_answered(scene))
     push = decide(view)
     assert push == decide(view)
     assert push.object != scene.goal

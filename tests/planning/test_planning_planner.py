@@ -37,7 +37,7 @@ class Bulldozer:
         self.failures = failures
         self.calls = []
 
-    def rollout(self, start, controls, gripper, substeps):
+    def rollout(self, start, controls, gripper, substeps, wanted=None):
         self.calls.append((start, controls, gripper, substeps))
         start = World._make(np.asarray(x, float) for x in start)
         controls = np.asarray(controls, float)
@@ -165,7 +165,7 @@ class Scripted:
         self.physics, self.n_objects, self.lanes = Physics(), 2, 1
         self.script = []
 
-    def rollout(self, start, controls, gripper, substeps):
+    def rollout(self, start, controls, gripper, substeps, wanted=None):
         costs = np.broadcast_to(self.script.pop(0), len(controls))
         still = oracle.still(PAIR, (0.0, 0.0, 0.0))
         out = jax.tree.map(lambda x: np.repeat(x[None], len(costs), 0), still)

@@ -25,7 +25,7 @@ class Ghost:
     def __init__(self, physics, n_objects, *, lanes=1):
         self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
 
-    def rollout(self, start, controls, gripper, substeps):
+    def rollout(self, start, controls, gripper, substeps, wanted=None):
         b, t = np.shape(gripper)
         luck = GRIP_SCALE * np.asarray(start.objects, np.float64).sum((1, 2)) % 1
         grip = np.maximum(0.0, 1.2 * luck - 0.2)

@@ -1,0 +1,172 @@
+"""What pushes are worth where planning alone is slow: candidate pushes, each tried by rollouts.
+
+    python experiments/push_outcomes.py [--scenes 90] [--pushes 12]
+
+Scenes not solved after 3 iterations are taken on in several ways from the same shelf: going on
+alone; the heuristic operator's first choice, had it to choose; random pushes (of those it would
+consider). A push gets 3 iterations, and then the reach as many as make 11 with it; going on gets
+11. The last column counts scenes in which any of the tried pushes came right: the best of several
+noisy tries, so above what a perfect choice of one push would reach. Rows by the goal's room to the
+nearer side wall: this is what `heuristic.WALL_ROOM` rests on.
+"""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from pgf_jax import Push, make_engine, sample_scene
+from pgf_jax.fleet.metrics import rate_interval
+from pgf_jax.guidance import heuristic
+from pgf_jax.physics.engine import World
+from pgf_jax.planning.planner import BatchPlanner, Search, start_world
+from pgf_jax.scene import PRESETS
+from pgf_jax.scene.scene import SIDE_WALL_Y
+from pgf_jax.study.crew import view
+
+ALONE, PUSH, TOTAL, LIMIT = 3, 3, 11, 30  # iterations
+ROOMS = (0.05, 0.08, 0.10, 0.15, 0.40)  # m
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """What is tried."""
+
+    scenes: int = 90  # a third of each class
+    pushes: int = 12  # random ones, a scene
+    seed: int = 20_000
+    engine: str = "planar"
+    lanes: int = 32
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """Of one scene: iterations that each way took, inf where it failed."""
+
+    room: float  # m, goal to side wall
+    alone: float
+    chosen: float
+    random: list[float]
+
+
+class Tries:
+    """Searches of many scenes, iterated with full lanes."""
+
+    def __init__(self, config: Config) -> None:
+        engine = make_engine(config.engine, lanes=config.lanes)
+        self.planner = BatchPlanner(engine)
+        self.rng = np.random.default_rng(config.seed)
+
+    def iterate(self, searches: list[Search], limits: list[int]) -> list[Search]:
+        """Each until it is feasible, or has done its number of iterations."""
+        searches = list(searches)
+        while todo := [
+            i
+            for i, (s, limit) in enumerate(zip(searches, limits, strict=True))
+            if not self.planner.terminate(s) and int(s.iteration) < limit
+        ]:
+            part = todo[: self.planner.engine.lanes]
+            keys = self.rng.integers(0, 2**32, (len(part), 2), dtype=np.uint32)
+            after = self.planner.step([searches[i] for i in part], list(keys))
+            for i, search in zip(part, after, strict=True):
+                searches[i] = search
+        return searches
+
+    def push(self, jobs: list[tuple[World, int, Push]]) -> list[float]:
+        """Iterations in all that each push and the reach after it take, inf where they fail."""
+        pushes = [self.planner.begin_push(*job) for job in jobs]
+        pushes = self.iterate(pushes, [PUSH] * len(pushes))
+        done = [i for i, s in enumerate(pushes) if self.planner.terminate(s)]
+        lanes = self.planner.engine.lanes
+        worlds: list[World] = []
+        for k in range(0, len(done), lanes):
+            worlds += self.planner.retreat([pushes[i] for i in done[k : k + lanes]])
+        used = [int(pushes[i].iteration) for i in done]
+        reaches = [
+            self.planner.begin_reach(world, jobs[i][1])
+            for i, world in zip(done, worlds, strict=True)
+        ]
+        reaches = self.iterate(reaches, [TOTAL - n for n in used])
+        took = np.full(len(jobs), np.inf)
+        for i, n, reach in zip(done, used, reaches, strict=True):
+            if self.planner.terminate(reach):
+                took[i] = n + int(reach.iteration)
+        return took.tolist()
+
+
+def outcomes(config: Config, seeds: range, tries: Tries) -> list[Outcome]:
+    """Of the scenes of some seeds, those that are slow."""
+    planner = tries.planner
+    scenes = [sample_scene(seed, preset) for seed in seeds for preset in PRESETS]
+    worlds = [start_world(s.positions) for s in scenes]
+    begun = [planner.begin_reach(w, s.goal) for w, s in zip(worlds, scenes, strict=True)]
+    slow = [
+        (scene, world, search)
+        for scene, world, search in zip(
+            scenes, worlds, tries.iterate(begun, [ALONE] * len(begun)), strict=True
+        )
+        if not planner.terminate(search)
+    ]
+    alone = tries.iterate([search for *_, search in slow], [LIMIT] * len(slow))
+    jobs: list[tuple[World, int, Push]] = []
+    for scene, world, search in slow:
+        seen = view(search, heuristic.WALL_PATIENCE, 0)  # a request that it does not decline
+        chosen = heuristic.HeuristicOperator().decide(seen)
+        pushed, targets = heuristic.candidates(seen)
+        some = tries.rng.choice(len(pushed), config.pushes, replace=False)
+        for push in [chosen, *(Push(int(pushed[k]), *map(float, targets[k])) for k in some)]:
+            assert push is not None, f"{scene.name}: nothing to push"
+            jobs.append((world, scene.goal, push))
+    took = np.reshape(tries.push(jobs), (len(slow), -1))
+    return [
+        Outcome(
+            room=SIDE_WALL_Y - abs(float(scene.positions[scene.goal, 1])),
+            alone=int(end.iteration) - ALONE if planner.terminate(end) else np.inf,
+            chosen=row[0],
+            random=row[1:].tolist(),
+        )
+        for (scene, *_), end, row in zip(slow, alone, took, strict=True)
+    ]
+
+
+def main(config: Config) -> None:
+    """Try, and print the table."""
+    console, tries, found = Console(), Tries(config), []
+    seeds = range(config.seed, config.seed + -(-config.scenes // len(PRESETS)))
+    for k in range(0, len(seeds), 10):
+        found += outcomes(config, seeds[k : k + 10], tries)
+        console.print(f"{len(seeds[: k + 10]) * len(PRESETS)} scenes, {len(found)} slow")
+    table = Table(title=f"slow scenes: solved within {TOTAL} more iterations, %")
+    for column in (
+        "goal to side wall, m",
+        "scenes",
+        f"unsolved at {LIMIT} alone",
+        "going on",
+        "heuristic push",
+        "random push",
+        f"any of {config.pushes + 1}",
+    ):
+        table.add_column(column, justify="right")
+    for low, high in [*itertools.pairwise(ROOMS), (ROOMS[0], ROOMS[-1])]:
+        rows = [o for o in found if low <= o.room < high]
+        if not rows:
+            continue
+        every = [t for o in rows for t in o.random]
+        counts = (
+            [np.isinf(o.alone) for o in rows],
+            [o.alone <= TOTAL for o in rows],
+            [o.chosen <= TOTAL for o in rows],
+            [t <= TOTAL for t in every],
+            [min([o.chosen, *o.random]) <= TOTAL for o in rows],
+        )
+        rates = [rate_interval(int(sum(c)), len(c)) for c in counts]
+        cells = [f"{100 * r.mean:.0f} ({100 * r.low:.0f}..{100 * r.high:.0f})" for r in rates]
+        table.add_row(f"{low:.2f} to {high:.2f}", str(len(rows)), *cells)
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))

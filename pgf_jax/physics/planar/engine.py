@@ -1,0 +1,239 @@
+"""Engine `planar`: one jitted program that keeps chunks of lanes full of objects that move.
+
+A lane is one rollout, its unit of work a knot. Before a knot the lane is put into the class of the
+smallest size A that holds all objects that can move in it (`reach`); then as many lanes as fill a
+chunk, all of one class but each at its own knot, go through it together, with A objects each.
+Afterwards it is checked that nothing was touched that took no part; a lane that fails does the knot
+again with what was. So a lane's result depends on its own state alone, and is that of the full
+problem.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pgf_jax.physics.config import Physics
+from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
+from pgf_jax.physics.planar import constants, motion, reach
+from pgf_jax.physics.planar.motion import Motion, Objects
+
+SIZES = (4, 8, 12)  # A; then N
+CHUNK = 16  # lanes that go through a knot together
+SWEEP = 5  # poses that bound the hand's sweep
+
+
+class _State(NamedTuple):
+    """All lanes of a call, [..., B], and what they leave behind."""
+
+    objects: Objects  # [N, B] each
+    pose: jax.Array  # [3, B]
+    knot: jax.Array  # [B] the next one
+    travel: jax.Array  # [N, B] `reach.travel` in it
+    size: jax.Array  # [B] its class: 0 nothing moves, k the k-th size; -1: done, or not wanted
+    out: tuple[jax.Array, ...]  # Rollout's arrays but for the velocities
+    work: jax.Array  # [2] lanes of the chunks that were computed; those of them that were of use
+
+
+class PlanarEngine:
+    """MuJoCo's contact problem for disks on a plane, float32."""
+
+    name = "planar"
+
+    def __init__(
+        self,
+        physics: Physics,
+        n_objects: int,
+        *,
+        lanes: int = 1,
+        iterations: int = 3,
+        cg_iterations: int = 4,
+        chunk: int = CHUNK,
+        sizes: tuple[int, ...] = SIZES,
+    ) -> None:
+        self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
+        self.iterations, self.cg_iterations = iterations, cg_iterations
+        self._constants = constants.read(physics, n_objects)
+        self._shape = motion.fit_shape(physics)
+        self._work: list[jax.Array] = []
+        self._chunk = chunk
+        self._sizes = (*(a for a in sizes if a < n_objects), n_objects)
+        # The default, 256 bits, halves the speed where there are wider registers; a processor that
+        # has none ignores it.
+        options = {"xla_cpu_prefer_vector_width": 512} if jax.default_backend() == "cpu" else None
+        self._jitted = jax.jit(self._rollout, compiler_options=options)
+
+    def rollout(self, start: World, controls, gripper, substeps: int, wanted=None) -> Rollout:
+        """See `Engine.rollout`; what is not wanted costs nothing, and comes back as zeros."""
+        wanted = np.ones(len(controls), bool) if wanted is None else np.asarray(wanted, bool)
+        start = World(*(jnp.asarray(a, jnp.float32) for a in start))
+        controls, gripper = jnp.asarray(controls, jnp.float32), jnp.asarray(gripper, jnp.float32)
+        rollout, work = self._jitted(start, controls, gripper, np.int32(substeps), wanted)
+        self._work.append(work)
+        return rollout
+
+    def occupancy(self) -> tuple[int, int]:
+        """Lanes of work since the last call of this: (that were of use, that were computed).
+
+        Not of use are lanes that were left empty, and knots that had to be done again.
+        """
+        computed, used = np.sum([np.zeros(2, np.int32), *self._work], axis=0)
+        self._work = []
+        return int(used), int(computed)
+
+    def _rollout(self, start: World, controls, gripper, substeps: jax.Array, wanted: jax.Array):
+        b, t = controls.shape[:2]
+        n = self.n_objects
+        chunk = min(self._chunk, -(-b // 8) * 8)
+        grippers = jnp.concatenate([start.gripper[None], gripper.T])  # [T + 1, B]
+        velocities = jnp.moveaxis(controls, 0, -1)  # [T, 3, B]
+
+        def motion_in(knot, lane, pose) -> Motion:
+            """Of lanes [C], each in its own knot; none before the first."""
+            before = knot < 0
+            knot = jnp.clip(knot, 0, t - 1)
+            velocity = jnp.where(before, 0.0, velocities[knot, :, lane].T)
+            return Motion(
+                pose, velocity, jnp.stack([grippers[knot, lane], grippers[knot + 1, lane]])
+            )
+
+        def next_size(objects: Objects, pose, knot, lane):
+            hand = self._hand(motion_in(knot, lane, pose), substeps)
+            sweep = jax.lax.map(hand, jnp.arange(SWEEP) * (substeps / (SWEEP - 1)))
+            far = reach.travel(self._constants, *objects[:4], sweep)
+            return far, jnp.where(knot < t, size_of(far), -1)
+
+        def size_of(far):
+            moving = (~(far <= 0)).sum(0)
+            return (moving[None] > jnp.array((0, *self._sizes))[:, None]).sum(0)
+
+        zero = jnp.zeros((n, b))
+        objects = Objects(
+            start.objects[..., 0].T,
+            start.objects[..., 1].T,
+            start.velocities[..., 0].T,
+            start.velocities[..., 1].T,
+            zero,
+            zero,
+        )
+        state = _State(
+            objects,
+            start.hand.T,
+            # Before the first knot is one in which nothing moves: it finds the first's class.
+            jnp.full(b, -1, jnp.int32),
+            zero,
+            jnp.where(wanted, 0, -1),
+            (
+                jnp.zeros((b, t, n, 2)),
+                jnp.zeros((b, t, 3)),
+                jnp.zeros((b, t, MAX_CONTACTS)),
+                jnp.zeros((b, t, MAX_CONTACTS, 2), jnp.int32),
+            ),
+            jnp.zeros(2, jnp.int32),
+        )
+
+        def work(state: _State) -> _State:
+            # The class with most lanes waiting, and the first of them.
+            kinds = jnp.arange(len(self._sizes) + 1)
+            waiting = (state.size[None] == kinds[:, None]).sum(1)
+            kind = jnp.argmax(waiting)
+            mine = state.size == kind
+            rank = jnp.cumsum(mine) - 1
+            lane = (
+                jnp.full(chunk, b).at[jnp.where(mine, rank, chunk)].set(jnp.arange(b), mode="drop")
+            )
+            got = jnp.minimum(lane, b - 1)
+            before = jax.tree.map(lambda a: a[:, got], state.objects)
+            far, pose, knot = state.travel[:, got], state.pose[:, got], state.knot[got]
+            now = motion_in(knot, got, pose)
+            branches = [self._stand, *(functools.partial(self._advance, a) for a in self._sizes)]
+            after, more, force, bodies = jax.lax.switch(kind, branches, substeps, before, far, now)
+            after = jax.tree.map(lambda a, v: jnp.where(knot < 0, v, a), after, before)
+
+            # A lane in which something else was touched does it again, with that.
+            fine = ~(more > 0).any(0)
+            again = jnp.maximum(far, more)
+            where = jnp.where(fine, lane, b)
+            pose = pose + substeps * self.physics.substep_s * now.velocity
+            ends = jnp.where(knot < 0, b, where)
+            positions = jnp.stack([after.x, after.y], -1).swapaxes(0, 1)  # [C, N, 2]
+            values = (positions, pose.T, force, bodies)
+            out = tuple(
+                a.at[ends, knot].set(v, mode="drop") for a, v in zip(state.out, values, strict=True)
+            )
+            far, size = next_size(after, pose, knot + 1, got)
+            far, size = jnp.where(fine, far, again), jnp.where(fine, size, size_of(again))
+            return _State(
+                jax.tree.map(lambda a, v: a.at[:, where].set(v, mode="drop"), state.objects, after),
+                state.pose.at[:, where].set(pose, mode="drop"),
+                state.knot.at[where].add(1, mode="drop"),
+                state.travel.at[:, lane].set(far, mode="drop"),
+                state.size.at[lane].set(size, mode="drop"),
+                out,
+                state.work + (kind > 0) * jnp.stack([chunk, (fine & (lane < b)).sum()]),
+            )
+
+        state = jax.lax.while_loop(lambda s: (s.size >= 0).any(), work, state)
+        objects, hands, force, bodies = state.out
+        velocities = jnp.stack([state.objects.vx, state.objects.vy], -1).swapaxes(0, 1)
+        return Rollout(objects, hands, velocities, force, bodies), state.work
+
+    def _hand(self, now: Motion, substeps: jax.Array):
+        return lambda done: motion.hand_at(self.physics, self._shape, now, done, substeps)
+
+    def _stand(self, substeps, objects: Objects, far, now):
+        """Nothing can move."""
+        c = far.shape[1]
+        zero = jnp.zeros_like(objects.vx)
+        still = Objects(objects.x, objects.y, zero, zero, zero, zero)
+        no_force = jnp.zeros((c, MAX_CONTACTS))
+        no_bodies = jnp.zeros((c, MAX_CONTACTS, 2), jnp.int32)
+        return still, jnp.zeros_like(far), no_force, no_bodies
+
+    def _advance(self, a: int, substeps, objects: Objects, far, now):
+        """A knot with the `a` objects that get furthest.
+
+        Returns:
+          All objects after it; [N, C] how deep others may have been touched (m, 0: not); the
+          strongest contacts.
+        """
+        order = jnp.argsort(-far, axis=0, stable=True)
+        mine, others = order[:a], order[a:]
+        part = jax.tree.map(lambda v: jnp.take_along_axis(v, mine, 0), objects)
+        moved, most, force = motion.knot(
+            self._constants,
+            self._hand(now, substeps),
+            substeps,
+            part,
+            self.iterations,
+            self.cg_iterations,
+        )
+        rest = (jnp.take_along_axis(v, others, 0) for v in (objects.x, objects.y))
+        touched = reach.touched(self._constants, part.x, part.y, jnp.sqrt(most), *rest)
+        still = jax.tree.map(jnp.zeros_like, objects)._replace(x=objects.x, y=objects.y)
+        lane = jnp.arange(far.shape[1])
+        after = jax.tree.map(lambda v, m: v.at[mine, lane].set(m), still, moved)
+        more = jnp.zeros_like(far).at[others, lane].set(touched)
+        return after, more, *self._strongest(force, mine)
+
+    def _strongest(self, force: tuple[jax.Array, jax.Array], mine: jax.Array):
+        """The strongest contacts of each lane: [C, slots] N and [C, slots, 2] bodies."""
+        ground, pairs = force  # [G, A, C], [A, A, C]
+        (g, a, c), n = ground.shape, self.n_objects
+        first, second = np.triu_indices(a, 1)
+        flat = jnp.concatenate([ground.reshape(g * a, c), pairs[first, second]]).T  # [C, M]
+        ground_code = np.where(np.arange(g) < g - constants.N_WALLS, n, n + 1)
+        one = jnp.concatenate([jnp.tile(mine, (g, 1)), mine[first]]).T
+        other = jnp.concatenate(
+            [jnp.broadcast_to(np.repeat(ground_code, a)[:, None], (g * a, c)), mine[second]]
+        ).T
+        slots = min(MAX_CONTACTS, flat.shape[1])
+        strongest, which = jax.lax.top_k(flat, slots)
+        bodies = jnp.stack([jnp.take_along_axis(v, which, 1) for v in (one, other)], -1)
+        bodies = jnp.where((strongest > 0)[..., None], bodies, 0).astype(jnp.int32)
+        spare = MAX_CONTACTS - slots
+        return jnp.pad(strongest, ((0, 0), (0, spare))), jnp.pad(
+            bodies, ((0, 0), (0, spare), (0, 0))
+        )
