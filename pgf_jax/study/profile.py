@@ -1,7 +1,8 @@
-"""Rollout throughput of the engines, side by side in one run; compile time apart.
+"""Throughput of the engines, side by side in one run, and where the time of an iteration goes.
 
-The rollouts are the planner's own: sampled scenes of the three classes, reach nominals with the
-planner's noise. Engines take turns call by call, so that another load on the machine meets all.
+Compile time is kept apart. The rollouts are the planner's own: sampled scenes of the three classes,
+reach nominals with the planner's noise. Engines take turns call by call, so that another load on the
+machine meets all.
 """
 
 import json
@@ -11,7 +12,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,12 @@ from pgf_jax.planning.planner import BatchPlanner, start_world
 from pgf_jax.scene import PRESETS, Scene, sample_scene
 from pgf_jax.study.profile_config import ProfileConfig
 
+ITERATION_S = 3.0  # simulated: K rollouts in parallel and the winner's own, 1.5 s each (D8)
+
 # The settings each engine is tried at; the fastest is its headline. All of them solve the same
 # problem: `experiments/parity.py` says how far the cheap ones end from the converged solution.
 SETTINGS: dict[str, list[dict[str, Any]]] = {
+    "planar": [{}],
     "mjx": [{}],
     "native": [
         {"solver": solver, "jacobian": jacobian, "sleep": True}
@@ -42,8 +46,12 @@ def profile(config: ProfileConfig) -> dict[str, Any]:
     """Measure, print (a table or JSON) and return `{"machine": ..., "engines": {NAME: ...}}`.
 
     An engine's `steps_per_s` is that of its best settings and lane count, which stand beside it
-    (`settings`, `lanes`, `workers`: threads that compute); `by_lanes` has every lane count.
+    (`settings`, `lanes`, `workers`: cores that its threads may use); `by_lanes` has every lane
+    count. `robot_s_per_s` is simulated planning time of robots a second of this machine's.
+    `iteration` splits a whole planner iteration at the best setting: see `split_iteration`.
     """
+    if config.cores is not None:
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: config.cores])
     console = Console(stderr=config.json)
     if not console.is_terminal:
         console.width = 110
@@ -54,6 +62,7 @@ def profile(config: ProfileConfig) -> dict[str, Any]:
         best = max(runs, key=lambda run: run["steps_per_s"])
         result["engines"][name] = {
             **_plain(best),
+            "iteration": split_iteration(best["engine"], config),
             "memory_lanes": config.memory_lanes,
             "memory_mib": _memory_mib(name, config),
             "by_lanes": [_plain(run) for run in runs],
@@ -113,7 +122,7 @@ def _measure_all(name: str, config: ProfileConfig, console: Console) -> list[dic
                     "seconds": [],
                     "settings": settings,
                     "lanes": lanes,
-                    "workers": getattr(engine, "threads", os.cpu_count()),
+                    "workers": len(os.sched_getaffinity(0)),
                     "substep_s": physics.substep_s,
                     "compile_s": max(0.0, first - second),
                 }
@@ -135,6 +144,64 @@ def _take_turns(engines: dict[str, list[dict[str, Any]]], config: ProfileConfig)
         run["rollouts_per_s"] = rolled / seconds
         run["steps_per_s"] = rolled * physics.knots * physics.substeps / seconds
         run["iterations_per_s"] = run["lanes"] / seconds
+        run["robot_s_per_s"] = run["iterations_per_s"] * ITERATION_S
+        if hasattr(run["engine"], "occupancy"):
+            used, computed = run["engine"].occupancy()
+            run["occupancy"] = used / computed
+
+
+class _Stopwatch:
+    """An engine, and the time that its rollouts took."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine, self.seconds = engine, 0.0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._engine, name)
+
+    def rollout(self, *args: Any) -> Any:
+        begin = time.perf_counter()
+        out = jax.block_until_ready(self._engine.rollout(*args))
+        self.seconds += time.perf_counter() - begin
+        return out
+
+
+def split_iteration(engine: Engine, config: ProfileConfig) -> dict[str, float]:
+    """Where the time of a planner iteration of L robots goes, ms; medians.
+
+    `rollout` is the engine's; `propose` draws the noise, `absorb` is cost terms and the update,
+    both jitted; `host` is the rest: lanes gathered into one batch, and results handed back.
+    """
+    watch = _Stopwatch(engine)
+    planner = BatchPlanner(watch)  # pyright: ignore[reportArgumentType]
+    scenes = [sample_scene(config.seed + i, PRESETS[i % 3]) for i in range(engine.lanes)]
+    searches = [planner.begin_reach(start_world(s.positions), s.goal) for s in scenes]
+    keys = np.random.default_rng(config.seed).integers(
+        0, 2**32, (config.repeats + 2, engine.lanes, 2), dtype=np.uint32
+    )
+    parts = {"total": [], "rollout": [], "propose": [], "absorb": []}
+    calls = {"propose": planner._propose, "absorb": planner._absorb}
+
+    def timed(name: str) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            begin = time.perf_counter()
+            out = jax.block_until_ready(calls[name](*args))
+            parts[name].append(time.perf_counter() - begin)
+            return out
+
+        return call
+
+    for name in calls:
+        setattr(planner, f"_{name}", timed(name))
+    for of_call in keys:
+        watch.seconds, begin = 0.0, time.perf_counter()
+        searches = planner.step(searches, list(of_call))
+        parts["total"].append(time.perf_counter() - begin)
+        parts["rollout"].append(watch.seconds)
+    # The first call compiles, and is the nominals'.
+    ms = {name: 1e3 * statistics.median(values[2:]) for name, values in parts.items()}
+    ms["host"] = ms["total"] - ms["rollout"] - ms["propose"] - ms["absorb"]
+    return {f"{name}_ms": value for name, value in ms.items()}
 
 
 def _seconds(engine: Engine, work: tuple[World, np.ndarray, np.ndarray]) -> float:
@@ -174,7 +241,7 @@ def _memory_mib(name: str, config: ProfileConfig) -> float:
 def _machine() -> dict[str, Any]:
     return {
         "platform": platform.platform(),
-        "cores": os.cpu_count(),
+        "cores": len(os.sched_getaffinity(0)),
         "device": str(jax.devices()[0]),
         "jax": jax.__version__,
     }
@@ -182,9 +249,9 @@ def _machine() -> dict[str, Any]:
 
 def _print(result: dict[str, Any], console: Console) -> None:
     table = Table(title="rollout throughput, engines taking turns in one run")
-    for column in ("engine", "lanes", "threads", "substep ms", "steps/s", "rollouts/s"):
+    for column in ("engine", "lanes", "cores", "substep ms", "steps/s", "rollouts/s"):
         table.add_column(column, justify="left" if column == "engine" else "right")
-    for column in ("iterations/s", "compile s", "to native", "settings"):
+    for column in ("iterations/s", "robot s/s", "full", "compile s", "to native", "settings"):
         table.add_column(column, justify="left" if column == "settings" else "right")
     native = result["engines"].get("native", {}).get("steps_per_s")
     for name, entry in result["engines"].items():
@@ -198,6 +265,8 @@ def _print(result: dict[str, Any], console: Console) -> None:
                 f"{run['steps_per_s']:,.0f}",
                 f"{run['rollouts_per_s']:.1f}",
                 f"{run['iterations_per_s']:.2f}",
+                f"{run['robot_s_per_s']:.1f}",
+                f"{100 * run['occupancy']:.0f} %" if "occupancy" in run else "",
                 f"{run['compile_s']:.1f}",
                 f"{run['steps_per_s'] / native:.2f}" if native else "",
                 " ".join(str(v) for v in run["settings"].values() if not isinstance(v, bool)),
@@ -205,6 +274,14 @@ def _print(result: dict[str, Any], console: Console) -> None:
             )
     console.print(table)
     for name, entry in result["engines"].items():
+        split = entry["iteration"]
+        console.print(
+            f"{name}: an iteration of {entry['lanes']} robots takes {split['total_ms']:.0f} ms: "
+            + ", ".join(
+                f"{part} {split[part + '_ms']:.1f}"
+                for part in ("rollout", "propose", "absorb", "host")
+            )
+        )
         console.print(
             f"{name}: {entry['memory_mib']:,.0f} MiB resident for a batch of "
             f"{entry['memory_lanes']} robots"

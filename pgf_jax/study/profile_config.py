@@ -13,6 +13,8 @@ class ProfileConfig:
     Attributes:
       engines: which engines.
       lanes: lane counts (robots per call) to try; the best one is an engine's headline.
+      cores: cores that everything is measured on; None: all. planar's calls use one whatever there
+        is, so that "one core each" is `--cores 1`.
       repeats: timed calls of each engine and lane count; the median counts.
       memory_lanes: robots in the batch whose memory is reported.
       physics: default, or the paper's substep and the authors' softness.
@@ -20,8 +22,9 @@ class ProfileConfig:
       json: print one JSON object instead of tables.
     """
 
-    engines: tuple[str, ...] = ("mjx", "native")
-    lanes: tuple[int, ...] = (1, 8, 20)
+    engines: tuple[str, ...] = ("planar", "mjx", "native")
+    lanes: tuple[int, ...] = (1, 8, 20, 32)
+    cores: int | None = None
     repeats: int = 3
     memory_lanes: int = 20
     physics: str = "default"
@@ -33,6 +36,8 @@ class ProfileConfig:
             one_of("engines", engine, engine_names())
         for lanes in self.lanes:
             whole("lanes", lanes, 1)
+        if self.cores is not None:
+            whole("cores", self.cores, 1)
         whole("repeats", self.repeats, 1)
         whole("memory_lanes", self.memory_lanes, 1)
         whole("seed", self.seed, 0)

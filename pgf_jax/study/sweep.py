@@ -85,6 +85,12 @@ def sweep(config: SweepConfig, *, quiet: bool = False) -> SweepResult:
     outcome = _conclude(setup, kept, efforts, start)
     if not quiet:
         Console().print(summary_tables(outcome.summaries))
+        Console().print(
+            f"engine {config.engine}, {config.engine_lanes()} lanes; results in {config.out}",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
     return outcome
 
 

@@ -24,6 +24,11 @@ def test_the_figures_of_an_engine_add_up(capsys):
         assert run["steps_per_s"] == pytest.approx(run["rollouts_per_s"] * 8 * 36)
         assert run["rollouts_per_s"] == pytest.approx(run["iterations_per_s"] * 8)
         assert run["call_s"] * run["iterations_per_s"] == pytest.approx(run["lanes"])
+        assert run["robot_s_per_s"] == pytest.approx(3 * run["iterations_per_s"])
+    split = entry["iteration"]
+    assert all(ms > 0 for ms in split.values())
+    parts = [split[f"{part}_ms"] for part in ("rollout", "propose", "absorb", "host")]
+    assert split["total_ms"] == pytest.approx(sum(parts))
     assert entry["memory_mib"] > 50  # an interpreter with JAX alone is more
 
 
@@ -31,6 +36,7 @@ def test_the_figures_of_an_engine_add_up(capsys):
     ("settings", "message"),
     [
         ({"lanes": (0,)}, "lanes: expected a whole number 1 or more, got 0"),
+        ({"cores": 0}, "cores: expected a whole number 1 or more, got 0"),
         ({"repeats": -1}, "repeats: expected a whole number 1 or more, got -1"),
         ({"physics": "x"}, "physics: expected one of default, paper, got 'x'"),
         ({"engines": ("x",)}, "engines: expected one of .*, got 'x'"),

@@ -1,4 +1,5 @@
 import dataclasses
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -74,6 +75,16 @@ def test_lanes_are_a_constant_of_the_engine():
             config = SweepConfig(robots=robots, workers=workers)
             assert config.engine_lanes() == SweepConfig().engine_lanes()
     assert SweepConfig(lanes=3).engine_lanes() == 3
+
+
+def test_planar_gets_a_process_a_core(monkeypatch):
+    """Its calls use one core; no more processes than there are cells."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2})
+    policies = ("pgf", "or-hitl", "always", "autonomous")
+    assert SweepConfig(robots=(20,), policies=policies).processes() == 3
+    assert SweepConfig(robots=(20,), policies=("pgf",)).processes() == 1
+    assert SweepConfig(robots=(20,), policies=policies, workers=2).processes() == 2
+    assert SweepConfig(robots=(20,), policies=policies, engine="mjx").processes() == 1
 
 
 @pytest.mark.parametrize(

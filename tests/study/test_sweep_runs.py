@@ -144,8 +144,9 @@ def test_manifest(whole):
     # Without a horizon every iteration that was computed ended, each in a lane of its own.
     iterations = (result.events()["kind"] == "iteration").sum()
     occupancy = manifest["occupancy"]
-    assert occupancy["lanes_used"] == iterations
-    assert occupancy["share"] == iterations / (4 * occupancy["calls"])
+    assert occupancy["used"] == iterations
+    assert occupancy["computed"] == 4 * occupancy["calls"]
+    assert occupancy["share"] == iterations / occupancy["computed"]
     assert [cell["kept"] for cell in manifest["cells"]] == [False] * 4
 
 
