@@ -1,8 +1,8 @@
 """Throughput of the engines, side by side in one run, and where the time of an iteration goes.
 
-Compile time is kept apart. The rollouts are the planner's own: sampled scenes of the three classes,
-reach nominals with the planner's noise. Engines take turns call by call, so that another load on the
-machine meets all.
+The rollouts are the planner's own: sampled scenes of the three classes, reach nominals with the
+planner's noise. Engines take turns call by call, so that another load on the machine meets all of
+them; compile time is kept apart.
 """
 
 import json

@@ -405,3 +405,26 @@ def test_a_model_of_two_softnesses_is_refused(monkeypatch):
     monkeypatch.setattr(model, "compile_model", lambda *_: compiled)
     with pytest.raises(BadInput, match="engine planar: solimp must be one constant"):
         constants.read(Physics(), 3)
+
+
+@pytest.mark.slow
+def test_ten_thousand_rollouts_stay_finite():
+    """Sampled scenes, hands that drive anywhere, half of them hard into what is there."""
+    lanes = 40
+    engine = make_engine("planar", lanes=lanes)
+    rng = np.random.default_rng(0)
+    b = 8 * lanes
+    total = fast = 0
+    while total < 10_000:
+        scenes = [sample_scene(total + i, ("tight", "medium", "wide")[i % 3]) for i in range(lanes)]
+        start, controls, gripper = sampled(b, seed=total)
+        positions = np.repeat(np.stack([s.positions for s in scenes]), 8, 0)
+        start = start._replace(objects=positions)
+        controls = controls + rng.normal(0, 0.1, controls.shape)
+        controls[::2] *= 3
+        out = engine.rollout(start, controls, gripper, PHYSICS.substeps)
+        for value in (out.objects, out.hand, out.velocities, out.force):
+            assert np.isfinite(np.asarray(value)).all()
+        fast += (np.asarray(out.force).max((1, 2)) > 100).sum()
+        total += b
+    assert fast > 1000  # jams: more than 100 N

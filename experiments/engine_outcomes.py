@@ -1,0 +1,65 @@
+"""Does planning come out the same with another engine? The same scenes and keys, paired.
+
+    python experiments/engine_outcomes.py [--scenes 150] [--engines planar mjx]
+
+Scenes of the three classes are planned alone, at most 30 iterations, with each engine. Reported are
+the share that is solved, and the paired difference (second engine less the first): of solved tasks
+in points, of iterations (30 where unsolved).
+"""
+
+import dataclasses
+
+import numpy as np
+import tyro
+from rich.console import Console
+
+from pgf_jax import PlanConfig, sample_scene
+from pgf_jax.fleet.metrics import mean_interval, rate_interval
+from pgf_jax.scene import PRESETS
+from pgf_jax.study.plan import plan_scenes
+
+LIMIT = 30  # iterations
+LANES = {"mjx": 8, "planar": 32}
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """What is compared."""
+
+    engines: tuple[str, str] = ("planar", "mjx")
+    scenes: int = 150  # a third of each class
+    seed: int = 8000
+
+
+def main(config: Config) -> None:
+    """Plan with both, and print."""
+    console = Console()
+    scenes = [
+        (sample_scene(config.seed + i // 3, PRESETS[i % 3]), config.seed + i)
+        for i in range(config.scenes)
+    ]
+    solved, iterations = {}, {}
+    for engine in config.engines:
+        plan_config = PlanConfig(
+            engine=engine, lanes=LANES.get(engine, 1), task_limit=1.5 + 3.0 * LIMIT
+        )
+        plans = plan_scenes(scenes, plan_config)
+        solved[engine] = np.array([plan.solved for plan in plans])
+        iterations[engine] = np.array([p.iterations if p.solved else LIMIT for p in plans])
+        rate = rate_interval(int(solved[engine].sum()), len(plans))
+        console.print(
+            f"{engine}: {100 * rate.mean:.1f} % ({100 * rate.low:.1f}..{100 * rate.high:.1f}) of "
+            f"{len(plans)} solved within {LIMIT} iterations, mean {iterations[engine].mean():.2f}, "
+            f"median {np.median(iterations[engine]):.0f}"
+        )
+    first, second = config.engines
+    points = mean_interval(list(100.0 * (solved[second].astype(float) - solved[first])))
+    more = mean_interval(list((iterations[second] - iterations[first]).astype(float)))
+    console.print(
+        f"{second} less {first}, paired: {points.mean:.1f} points ({points.low:.1f}.."
+        f"{points.high:.1f}), {more.mean:.2f} iterations ({more.low:.2f}..{more.high:.2f})"
+    )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))
