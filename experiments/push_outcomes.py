@@ -113,8 +113,8 @@ def outcomes(config: Config, seeds: range, tries: Tries) -> list[Outcome]:
     alone = tries.iterate([search for *_, search in slow], [LIMIT] * len(slow))
     jobs: list[tuple[World, int, Push]] = []
     for scene, world, search in slow:
-        seen = view(search, heuristic.WALL_PATIENCE, 0)  # a request that it does not decline
-        chosen = heuristic.HeuristicOperator().decide(seen)
+        seen = view(search, 0, 0)
+        chosen = heuristic.HeuristicOperator().best_push(seen)
         pushed, targets = heuristic.candidates(seen)
         some = tries.rng.choice(len(pushed), config.pushes, replace=False)
         for push in [chosen, *(Push(int(pushed[k]), *map(float, targets[k])) for k in some)]:

@@ -273,7 +273,7 @@ def test_the_flags_that_are_promised(capsys):
         assert f"--{flag} " in out
     words = " ".join(out.split())
     assert words.count("(default: none)") == 1  # the operator
-    assert "(default: stuck)" in words and "(default: mjx)" in words
+    assert "(default: stuck)" in words and "(default: planar)" in words
 
 
 def test_the_version(capsys):

@@ -68,7 +68,7 @@ class HeuristicOperator:
         self.weights = weights or Weights()
 
     def decide(self, view: View) -> Push | None:
-        """The best push that has not failed yet; None where none is possible, or worth it.
+        """The best push, or None where none is possible, or worth it now.
 
         Every second time it lets the robot try for itself: a push costs as many iterations as it
         takes to see whether the last one has helped. A goal close to a side wall is hard with a
@@ -78,6 +78,10 @@ class HeuristicOperator:
         declined = WALL_PATIENCE if room < WALL_ROOM else 0
         if view.request < declined or (view.request - declined) % 2:
             return None
+        return self.best_push(view)
+
+    def best_push(self, view: View) -> Push | None:
+        """The best push that has not failed yet; None where no push is possible."""
         pushed, targets = candidates(view)
         if not len(pushed):
             return None

@@ -246,6 +246,13 @@ def test_objects_end_where_native_puts_them(case, rolled):
     np.testing.assert_allclose(rolled.hand, theirs.hand, atol=1e-5)
 
 
+def test_objects_end_where_mjx_puts_them(mjx_engine, case, rolled):
+    theirs = jax.tree.map(np.asarray, mjx_engine.rollout(*case, PHYSICS.substeps))
+    off = apart(case, rolled, theirs)
+    assert np.median(off) < 0.5e-3
+    assert off.mean() < 1.5e-3
+
+
 def test_published_scenes(authors):
     scenes = [load_scene(p) for p in sorted((authors / "models").glob("*.xml"))[::8]]
     from pgf_jax.study.profile import noisy_nominals
