@@ -1,6 +1,7 @@
 """The command line: its files, its help, and one line for every kind of bad input."""
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -351,3 +352,22 @@ def test_an_interrupted_collection_names_resume(tmp_path, monkeypatch, capsys):
     code, out, err = run(arguments, capsys)
     assert (code, out) == (130, "")
     assert err.count("\n") == 1 and "--resume" in err
+
+
+def test_planar_is_started_without_xla_s_threads(monkeypatch):
+    seen = []
+
+    def run_command(config):
+        seen.append(os.environ.get("NPROC"))
+
+    for command in ("plan", "sweep"):
+        monkeypatch.setitem(
+            COMMANDS, command, cli.Command("", COMMANDS[command].config, run_command)
+        )
+    for arguments in (["plan", "--preset", "tight"], ["sweep"], ["sweep", "--engine", "mjx"]):
+        monkeypatch.delenv("NPROC", raising=False)
+        assert cli.main(arguments) == 0
+    assert seen == ["1", "1", None]
+    monkeypatch.setenv("NPROC", "3")  # set by the user
+    assert cli.main(["sweep"]) == 0
+    assert seen[-1] == "3"
