@@ -24,7 +24,7 @@ CLOCK_S = 1e-9  # the simulated clock counts nanoseconds
 # L, robots in one call: a constant of an engine, because `mjx` rounds differently at another L.
 # C MuJoCo rolls out one by one and gains nothing from a larger call, which would only pad more;
 # `planar` computes no padding, and fills its chunks better from a larger call.
-LANES = {"mjx": 8, "native": 1, "planar": 32}
+LANES = {"mjx": 8, "native": 1, "planar": 64}
 OTHER_LANES = 8
 
 # These never look at a gain.

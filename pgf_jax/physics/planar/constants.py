@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from pgf_jax.errors import BadInput
-from pgf_jax.physics import hand, model
+from pgf_jax.physics import model
 from pgf_jax.physics.config import Physics
 
 N_WALLS = 2  # rows: the back wall, and the side wall that is nearer
@@ -117,8 +117,3 @@ def _reference(
     """(b, k) of MuJoCo's solref, its time constant kept to at least two substeps."""
     timeconst = max(timeconst, 2 * m.opt.timestep)
     return 2 / (impedance * timeconst), 1 / (impedance * timeconst * ratio) ** 2
-
-
-def assert_hand(m: mujoco.MjModel) -> None:
-    """The capsules' order in the model is that of `hand.CAPSULES`."""
-    assert len(model.hand_geoms(m)) == hand.N_CAPSULES

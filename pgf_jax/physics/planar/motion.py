@@ -37,10 +37,10 @@ class Objects(NamedTuple):
 class Shape(NamedTuple):
     """The hand as a function of the gripper, for arithmetic alone (see `fit_shape`)."""
 
-    segments: np.ndarray  # [DEGREE + 1, 2, 2, H] coefficients of start/end, x/y in (1 - g/127.5)
-    creep_knots: np.ndarray  # [9] gripper values at which the creep's slope changes
+    segments: np.ndarray  # [DEGREE + 1, 2, 2, H] coefficients of start/end, x/y in g / 127.5 - 1
+    creep_knots: np.ndarray  # [8] gripper values at which the creep's slope changes
     creep_at_0: np.ndarray  # [3, 2] (vx, vy, wz) of both fingers at gripper 0
-    creep_bends: np.ndarray  # [9, 3, 2] how much the slope changes there
+    creep_bends: np.ndarray  # [8, 3, 2] how much the slope changes there
 
 
 DEGREE = 5  # of the polynomials: within 1e-8 m of the links' rotations
@@ -79,13 +79,11 @@ def hand_at(physics: Physics, shape: Shape, motion: Motion, done, substeps) -> H
     for term in terms[-2::-1]:
         local = local * scaled + term
     ramps = jnp.maximum(gripper - jnp.asarray(shape.creep_knots, gripper.dtype)[:, None], 0.0)
-    bends = jnp.asarray(shape.creep_bends, gripper.dtype)[..., None]  # [9, 3, 2, 1]
+    bends = jnp.asarray(shape.creep_bends, gripper.dtype)[..., None]  # [8, 3, 2, 1]
     creep = jnp.asarray(shape.creep_at_0, gripper.dtype)[..., None]
     for ramp, bend in zip(ramps, bends, strict=True):
         creep = creep + ramp * bend  # [3, 2, C]
-    cos, sin, local, creep = jax.lax.optimization_barrier(
-        (jnp.cos(yaw), jnp.sin(yaw), local, creep)
-    )
+    cos, sin = jnp.cos(yaw), jnp.sin(yaw)
 
     def turned(local_x, local_y):  # [..., C] each
         return cos * local_x - sin * local_y, sin * local_x + cos * local_y
