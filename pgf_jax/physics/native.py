@@ -4,12 +4,12 @@
 # pyright: reportAttributeAccessIssue=false
 
 import copy
-import os
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from pgf_jax.cores import usable
 from pgf_jax.physics import hand, model
 from pgf_jax.physics.config import Physics
 from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World, choice
@@ -38,7 +38,7 @@ class NativeEngine:
     ) -> None:
         self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
         compiled = model.compile_model(physics, n_objects)
-        self.threads = threads or len(os.sched_getaffinity(0))
+        self.threads = threads or len(usable())
         self._hand_geoms = model.hand_geoms(compiled)
         self._bodies = model.geom_bodies(compiled, n_objects)
         self._model = copy.copy(compiled)

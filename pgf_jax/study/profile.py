@@ -6,7 +6,6 @@ them; compile time is kept apart.
 """
 
 import json
-import os
 import platform
 import statistics
 import subprocess
@@ -21,6 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from pgf_jax.cores import pin, usable
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import Engine, World, make_engine
 from pgf_jax.planning.planner import BatchPlanner, start_world
@@ -51,7 +51,7 @@ def profile(config: ProfileConfig) -> dict[str, Any]:
     `iteration` splits a whole planner iteration at the best setting: see `split_iteration`.
     """
     if config.cores is not None:
-        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: config.cores])
+        pin(usable()[: config.cores])
     console = Console(stderr=config.json)
     if not console.is_terminal:
         console.width = 110
@@ -122,7 +122,7 @@ def _measure_all(name: str, config: ProfileConfig, console: Console) -> list[dic
                     "seconds": [],
                     "settings": settings,
                     "lanes": lanes,
-                    "workers": len(os.sched_getaffinity(0)),
+                    "workers": len(usable()),
                     "substep_s": physics.substep_s,
                     "compile_s": max(0.0, first - second),
                 }
@@ -241,7 +241,7 @@ def _memory_mib(name: str, config: ProfileConfig) -> float:
 def _machine() -> dict[str, Any]:
     return {
         "platform": platform.platform(),
-        "cores": len(os.sched_getaffinity(0)),
+        "cores": len(usable()),
         "device": str(jax.devices()[0]),
         "jax": jax.__version__,
     }

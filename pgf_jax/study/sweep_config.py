@@ -4,11 +4,11 @@ The command line of `pgf-jax sweep` is built from `SweepConfig`.
 """
 
 import dataclasses
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from pgf_jax import cores
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.compute import parse_compute
 from pgf_jax.fleet.config import FleetConfig
@@ -264,8 +264,8 @@ class SweepConfig:
 
     def processes(self) -> int:
         """Worker processes, at most one a cell."""
-        cores = len(os.sched_getaffinity(0)) if self.engine == "planar" else 1
-        return min(self.workers or cores, len(self.cells()))
+        many = len(cores.usable()) if self.engine == "planar" else 1
+        return min(self.workers or many, len(self.cells()))
 
     def needs_gains(self) -> bool:
         """Whether some policy bids predicted gains; a policy of the user's own is taken to."""

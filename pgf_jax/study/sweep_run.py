@@ -5,7 +5,6 @@ import copy
 import dataclasses
 import functools
 import multiprocessing
-import os
 import signal
 import time
 import traceback
@@ -16,6 +15,7 @@ from typing import Any, Protocol
 
 import jax
 
+from pgf_jax.cores import pin, usable
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Fleet, Work, WorkKind
 from pgf_jax.guidance.operators import make_operator
@@ -190,12 +190,12 @@ def run_in_processes(
     context = multiprocessing.get_context("spawn")  # JAX's threads do not survive a fork
     stop = context.Event()
     settings = {name: getattr(jax.config, name) for name in _JAX_SETTINGS}
-    cores = sorted(os.sched_getaffinity(0))
+    available = usable()
     processes, pending, efforts = [], {}, []
     try:
         for number, part in enumerate(parts):
             # Cores of its own: the threads of several processes would only wait for each other.
-            pinned = cores[number :: len(parts)] or [cores[number % len(cores)]]
+            pinned = available[number :: len(parts)] or [available[number % len(available)]]
             ours, theirs = context.Pipe(duplex=False)
             process = context.Process(
                 target=_work, args=(setup, part, theirs, stop, settings, pinned), daemon=True
@@ -280,7 +280,7 @@ def _work(
     cores: Sequence[int],
 ) -> None:
     """The main function of a process."""
-    os.sched_setaffinity(0, cores)  # before JAX and MuJoCo count them to start their threads
+    pin(cores)
     for name, value in settings.items():
         jax.config.update(name, value)
     parent = multiprocessing.parent_process()

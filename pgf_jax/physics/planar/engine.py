@@ -57,7 +57,7 @@ class PlanarEngine:
         self.iterations, self.cg_iterations = iterations, cg_iterations
         self._constants = constants.read(physics, n_objects)
         self._shape = motion.fit_shape(physics)
-        self._work: list[jax.Array] = []
+        self._work = np.zeros(2, np.int64)
         self._chunk = chunk
         self._sizes = (*(a for a in sizes if a < n_objects), n_objects)
         # The default, 256 bits, halves the speed where there are wider registers; a processor that
@@ -71,7 +71,7 @@ class PlanarEngine:
         start = World(*(jnp.asarray(a, jnp.float32) for a in start))
         controls, gripper = jnp.asarray(controls, jnp.float32), jnp.asarray(gripper, jnp.float32)
         rollout, work = self._jitted(start, controls, gripper, np.int32(substeps), wanted)
-        self._work.append(work)
+        self._work += np.asarray(work)
         return rollout
 
     def occupancy(self) -> tuple[int, int]:
@@ -79,8 +79,8 @@ class PlanarEngine:
 
         Not of use are lanes that were left empty, and knots that had to be done again.
         """
-        computed, used = np.sum([np.zeros(2, np.int32), *self._work], axis=0)
-        self._work = []
+        computed, used = self._work
+        self._work = np.zeros(2, np.int64)
         return int(used), int(computed)
 
     def _rollout(self, start: World, controls, gripper, substeps: jax.Array, wanted: jax.Array):
