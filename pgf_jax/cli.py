@@ -288,22 +288,28 @@ def _collect(config: "CollectConfig") -> None:
         ) from None
     mix = ", ".join(f"{count} {name}" for name, count in done.by_class.items())
     _table(
-        ("runs", "of", "solved", "iterations", "inputs"),
-        [(str(done.runs), mix, str(done.solved), str(done.iterations), str(done.inputs))],
+        ("scenes", "with data", "of", "solved", "iterations", "inputs"),
+        [
+            (
+                *(str(count) for count in (done.scenes, done.runs)),
+                mix,
+                *(str(count) for count in (done.solved, done.iterations, done.inputs)),
+            )
+        ],
     )
     print(f"{done.path}; engine {config.engine}, lanes {config.lanes}, {clock(done.seconds)}")
 
 
 def _train(command: TrainCommand) -> None:
-    from pgf_jax.guidance.checkpoint import NETWORKS
     from pgf_jax.guidance.training import train
 
     report = train(command.data, command.out, command.config)
+    networks = [name for name in report if name != "files"]
     counts = ("runs", "scenes", "rows", "non_finite", "short", "epochs", "best_epoch")
-    figures = ("rmse_train", "rmse_val", "target_std_val")  # in units of cost
-    rows = [(name, *(str(report[network][name]) for network in NETWORKS)) for name in counts]
-    rows += [(name, *(f"{report[network][name]:.2f}" for network in NETWORKS)) for name in figures]
-    _table(("", *NETWORKS), rows)
+    figures = ("loss_train", "loss_val", "target_std_val")  # in units of the target
+    rows = [(name, *(str(report[network][name]) for network in networks)) for name in counts]
+    rows += [(name, *(f"{report[network][name]:.2f}" for network in networks)) for name in figures]
+    _table(("", *networks), rows)
     print("\n".join(report["files"]))
 
 

@@ -111,7 +111,7 @@ ARGUMENTS = {
     ),
     "mode": (
         ["collect", "both", "--scenes", 1, "--out", "x"],
-        "mode: expected one of autonomous, human, got 'both'",
+        "mode: expected one of autonomous, forks, human, got 'both'",
     ),
     "missing": (["collect", "human"], "options missing: --scenes, --out"),
     "classes": (

@@ -9,7 +9,7 @@ import math
 from typing import Protocol
 
 from pgf_jax.fleet.policies import Discipline
-from pgf_jax.fleet.service import stream
+from pgf_jax.streams import stream
 
 
 class Reply(enum.Enum):

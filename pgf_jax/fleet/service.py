@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Protocol
 
-import numpy as np
+from pgf_jax.streams import stream
 
 
 class ServiceTimes(Protocol):
@@ -38,11 +38,3 @@ class LogNormal:
         variance = math.log1p((self.sd_s / self.mean_s) ** 2)
         z = stream(self.seed, "service", robot, task, request).standard_normal()
         return self.mean_s * math.exp(math.sqrt(variance) * z - variance / 2)
-
-
-def stream(seed: int, purpose: str, *key: int) -> np.random.Generator:
-    """A generator of its own for (seed, purpose, key), independent of every other one."""
-    # SeedSequence pads a short key with zeros, so the purpose, fixed in length, goes first.
-    words = np.frombuffer(purpose.encode().ljust(8, b"\0")[:8], dtype="<u4")
-    entropy = [*(int(word) for word in words), len(key), seed, *key]
-    return np.random.Generator(np.random.Philox(np.random.SeedSequence(entropy)))

@@ -1,15 +1,16 @@
 """Checkpoints of the predictors: one msgpack file a network, checked on the way in.
 
-`phi_auto.msgpack` and `phi_human.msgpack` (flax.serialization's msgpack, no pickle anywhere) hold
+`phi_auto.msgpack`, `phi_human.msgpack`, `gain.msgpack` and `failure.msgpack` (flax.serialization's
+msgpack, no pickle anywhere) hold
 
-    {"version": 1, "sha256": hex digest of payload, "payload": bytes}
+    {"version": 2, "sha256": hex digest of payload, "payload": bytes}
 
 and the payload, again msgpack,
 
-    {"network": "phi_auto" | "phi_human", "hidden": [64, 32, 8], "features": [10 names],
-     "params": {"Dense_0": {"kernel": [10, 64], "bias": [64]}, ...}, "mean": [10], "scale": [10],
-     "data_sha256": of the runs.parquet it was trained on, "scenes": int, "rows": int,
-     "figures": {name: number}}
+    {"network": one of NETWORKS, "hidden": [64, 32, 8], "members": E, "features": [F names],
+     "params": {"Dense_0": {"kernel": [E, F, 64], "bias": [E, 64]}, ...}, "mean": [F],
+     "scale": [F], "data_sha256": of the Parquet file it was trained on, "scenes": int,
+     "rows": int, "config": {setting: value as text}, "figures": {name: number}}
 
 with float32 arrays. The digest is there because a flipped bit in a weight is still a weight.
 """
@@ -28,14 +29,16 @@ from flax import serialization
 
 from pgf_jax.errors import BadInput
 from pgf_jax.guidance.predictor import Predictor
-from pgf_jax.guidance.rows import FEATURES
-from pgf_jax.guidance.runs import write_atomically
+from pgf_jax.guidance.state import STATE
+from pgf_jax.guidance.tables import write_atomically
 
-VERSION = 1
-NETWORKS = ("phi_auto", "phi_human")
+VERSION = 2
+PAIR = ("phi_auto", "phi_human")  # the paper's
+NETWORKS = (*PAIR, "gain", "failure")
 _FIELDS = {
     "network": str,
     "hidden": list,
+    "members": int,
     "features": list,
     "params": dict,
     "mean": np.ndarray,
@@ -43,6 +46,7 @@ _FIELDS = {
     "data_sha256": str,
     "scenes": int,
     "rows": int,
+    "config": dict,
     "figures": dict,
 }
 
@@ -52,12 +56,13 @@ class Checkpoint:
     """A trained predictor and where it comes from.
 
     Attributes:
-      network: `phi_auto` or `phi_human`.
+      network: one of `NETWORKS`.
       predictor: the network with its normalisation.
-      data_sha256: hex digest of the `runs.parquet` it was trained on.
+      data_sha256: hex digest of the `runs.parquet` or `forks.parquet` it was trained on.
       scenes: scenes with at least one row, training and validation together.
       rows: rows, training and validation together.
-      figures: `rmse_train`, `rmse_val` and whatever else the training measured; units of cost.
+      config: settings of the training, as text.
+      figures: `loss_train`, `loss_val` and whatever else the training measured; units of cost.
     """
 
     network: str
@@ -65,6 +70,7 @@ class Checkpoint:
     data_sha256: str
     scenes: int
     rows: int
+    config: Mapping[str, str]
     figures: Mapping[str, float]
 
 
@@ -83,7 +89,8 @@ def save(path: Path | str, checkpoint: Checkpoint) -> None:
     content = {
         "network": checkpoint.network,
         "hidden": list(predictor.hidden),
-        "features": list(FEATURES),
+        "members": len(predictor.params["Dense_0"]["bias"]),
+        "features": list(predictor.features),
         "params": {
             layer: {name: np.asarray(value) for name, value in sorted(values.items())}
             for layer, values in sorted(predictor.params.items())
@@ -93,6 +100,7 @@ def save(path: Path | str, checkpoint: Checkpoint) -> None:
         "data_sha256": checkpoint.data_sha256,
         "scenes": int(checkpoint.scenes),
         "rows": int(checkpoint.rows),
+        "config": {name: str(value) for name, value in checkpoint.config.items()},
         "figures": {name: float(value) for name, value in checkpoint.figures.items()},
     }
     _from_content(content, str(path))
@@ -128,21 +136,17 @@ def load(path: Path | str | Traversable) -> Checkpoint:
     return _from_content(_unpack(payload, str(source)), str(source))
 
 
-def load_pair(directory: Path | str | None = None) -> tuple[Checkpoint, Checkpoint]:
-    """phi_auto and phi_human from a folder, or, given None, the shipped ones.
-
-    Raises:
-      BadInput: as `load`, or a file holds the other network.
-    """
-    folder = shipped_checkpoints() if directory is None else Path(directory)
-    if not folder.is_dir():
-        raise BadInput(f"{folder}: no such folder, expected one with {_file_names()}")
-    auto, human = (_load_network(folder, network) for network in NETWORKS)
-    return auto, human
+def load_network(folder: Traversable, network: str) -> Checkpoint:
+    """One network of a folder; BadInput as `load`, or the file holds another network."""
+    source = folder / checkpoint_name(network)
+    checkpoint = load(source)
+    if checkpoint.network != network:
+        raise BadInput(f"{source}: holds {checkpoint.network}, expected {network}")
+    return checkpoint
 
 
 def _file_names() -> str:
-    return " and ".join(map(checkpoint_name, NETWORKS))
+    return " and ".join(map(checkpoint_name, PAIR))
 
 
 def shipped_checkpoints() -> Traversable:
@@ -157,14 +161,6 @@ def shipped_checkpoints() -> Traversable:
     if (root / "pyproject.toml").is_file() and (root / "checkpoints").is_dir():
         return root / "checkpoints"
     raise BadInput(f"{inside}: no shipped checkpoints, expected a folder with {_file_names()}")
-
-
-def _load_network(folder: Traversable, network: str) -> Checkpoint:
-    source = folder / checkpoint_name(network)
-    checkpoint = load(source)
-    if checkpoint.network != network:
-        raise BadInput(f"{source}: holds {checkpoint.network}, expected {network}")
-    return checkpoint
 
 
 def _unpack(data: bytes, name: str) -> dict[str, Any]:
@@ -186,23 +182,29 @@ def _from_content(content: dict[str, Any], name: str) -> Checkpoint:
     if content["network"] not in NETWORKS:
         expected = " or ".join(NETWORKS)
         raise BadInput(f"{name}: network is {content['network']!r}, expected {expected}")
-    if not all(type(feature) is str for feature in content["features"]) or (
-        content["features"] != list(FEATURES)
-    ):
-        raise BadInput(f"{name}: the features are others than {', '.join(FEATURES)}")
+    features = content["features"]
+    # Names first: what is no text may not even be hashable.
+    named = all(type(feature) is str for feature in features)
+    if not named or not features or not set(features) <= set(STATE):
+        raise BadInput(f"{name}: features are not all among {', '.join(STATE)}")
+    if len(set(features)) != len(features):
+        raise BadInput(f"{name}: features are named twice")
     hidden = content["hidden"]
     if not hidden or not all(type(width) is int and width > 0 for width in hidden):
         raise BadInput(f"{name}: hidden must be a list of one or more positive widths")
-    for count in ("scenes", "rows"):
-        if content[count] < 0:
-            raise BadInput(f"{name}: {count} must not be negative, got {content[count]}")
+    for count, least in (("scenes", 0), ("rows", 0), ("members", 1)):
+        if content[count] < least:
+            raise BadInput(f"{name}: {count} must be {least} or more, got {content[count]}")
+    if not all(type(t) is str for pair in content["config"].items() for t in pair):
+        raise BadInput(f"{name}: config must be texts by name")
     for figure, value in content["figures"].items():
         if type(value) is not float or not np.isfinite(value):
             raise BadInput(f"{name}: figure {figure!r} must be a finite number")
 
-    params = _check_params(content["params"], (len(FEATURES), *hidden, 1), name)
+    widths = (len(features), *hidden, 1)
+    params = _check_params(content["params"], content["members"], widths, name)
     for field in ("mean", "scale"):
-        _check_array(content[field], (len(FEATURES),), f"{name}: {field}")
+        _check_array(content[field], (len(features),), f"{name}: {field}")
     if not (content["scale"] > 0).all():
         raise BadInput(f"{name}: scale must be positive, got {content['scale'].min():g}")
     return Checkpoint(
@@ -212,15 +214,19 @@ def _from_content(content: dict[str, Any], name: str) -> Checkpoint:
             mean=jnp.asarray(content["mean"]),
             scale=jnp.asarray(content["scale"]),
             hidden=tuple(hidden),
+            features=tuple(features),
         ),
         data_sha256=content["data_sha256"],
         scenes=content["scenes"],
         rows=content["rows"],
+        config=content["config"],
         figures=content["figures"],
     )
 
 
-def _check_params(params: dict[str, Any], widths: tuple[int, ...], name: str) -> dict[str, Any]:
+def _check_params(
+    params: dict[str, Any], members: int, widths: tuple[int, ...], name: str
+) -> dict[str, Any]:
     layers = [f"Dense_{i}" for i in range(len(widths) - 1)]
     if set(params) != set(layers):
         raise BadInput(f"{name}: layers are {list(params)}, expected {layers}")
@@ -229,7 +235,10 @@ def _check_params(params: dict[str, Any], widths: tuple[int, ...], name: str) ->
         values = params[layer]
         if not isinstance(values, dict) or set(values) != {"kernel", "bias"}:
             raise BadInput(f"{name}: {layer} must hold a kernel and a bias")
-        shapes = {"kernel": (widths[i], widths[i + 1]), "bias": (widths[i + 1],)}
+        shapes = {
+            "kernel": (members, widths[i], widths[i + 1]),
+            "bias": (members, widths[i + 1]),
+        }
         for part, shape in shapes.items():
             _check_array(values[part], shape, f"{name}: {layer} {part}")
         checked[layer] = {part: jnp.asarray(values[part]) for part in shapes}

@@ -1,21 +1,34 @@
-"""The `heuristic` operator (D5): a person's look at the shelf, in geometry; no rollouts.
+"""The `heuristic` operator (D5): a person's look at the shelf, and what they imagine.
 
-It weighs every push of an object by a hand's breadth or two: short pushes of what stands at the
-front, into the shelf, are the ones that work, if the hand fits behind the object and the goal is
-not hit; then the next reach counts: how far the hand must turn, what stands in its corridor,
-whether it fits beside the walls. Objects that stop the best trajectory so far (in the hand at its
-end, pressed by hand or goal, jammed against a wall) count double. The cheapest push wins; after
-pushes that the planner could not do, the next.
+It looks: every push of an object by a hand's breadth or two is weighed by geometry. Short pushes of
+what stands at the front, into the shelf, are the ones that work, if the hand fits behind the object
+and the goal is not hit; then the next reach counts: how far the hand must turn, what stands in its
+corridor, whether it fits beside the walls. Objects that stop the best trajectory so far (in the
+hand at its end, pressed by hand or goal, jammed against a wall) count double.
+
+Then it imagines the best of these, each once: the straight push, the retreat and the straight reach
+after it, as they would go without noise. The push wins whose reach would end best, if that is
+better than what the robot has; else the robot goes on.
 """
 
 import dataclasses
 
 import numpy as np
 
-from pgf_jax.guidance.operators import View
+from pgf_jax.guidance.geometry import (
+    CLOSED,
+    CORRIDOR,
+    OPEN,
+    culprits,
+    into_walls,
+    segment_distance,
+    wrap,
+)
+from pgf_jax.guidance.operators import At, View
+from pgf_jax.guidance.trials import Deliberation, attempt, own_words, together
 from pgf_jax.physics import hand
 from pgf_jax.planning.nominal import PUSH_BEHIND, PUSH_SHORT, REACH_SHORT
-from pgf_jax.planning.planner import RETREAT_M
+from pgf_jax.planning.planner import RETREAT_M, BatchPlanner, Search
 from pgf_jax.planning.types import Push
 from pgf_jax.scene.scene import BACK_WALL_X, RADIUS, SIDE_WALL_Y
 
@@ -45,18 +58,14 @@ class Weights:
     reach_wall: float = 71.0  # per m that it would be in a wall at the goal
 
 
-# Goals with less room to a side wall (m) are where a push does no better than going on does
-# (`experiments/push_outcomes.py`); so many requests are declined there.
-WALL_ROOM, WALL_PATIENCE = 0.10, 3
-CORRIDOR = 0.065  # m, half-width (D2)
+IMAGINED = 32  # pushes that it thinks through
+# Asked so many times before, going on is not good enough any more: then every second time (a push
+# takes as many iterations as it takes to see whether the last one has helped) it gives a push.
+PATIENCE = 3
 HALF_CLOSED, AHEAD = 0.055, 0.067  # the closed hand: half its breadth, its reach ahead of `ee`, m
 DISTANCES = (0.06, 0.10, 0.15, 0.20)  # m
 DIRECTIONS = 16
 FRONT_MOST = 0.28  # m, x of targets: an object that the retreat drags off the front costs (c_e)
-_FRONT = hand.capsule_segments(0.0).max((1, 2)) > 0.12  # not the base and the wrist
-_FRONT_RADII = hand.RADII[_FRONT]
-_OPEN = hand.capsule_segments(0.0)[_FRONT]
-_CLOSED = hand.capsule_segments(hand.GRIPPER_CLOSED)[_FRONT]
 
 
 class HeuristicOperator:
@@ -67,30 +76,38 @@ class HeuristicOperator:
     def __init__(self, weights: Weights | None = None) -> None:
         self.weights = weights or Weights()
 
-    def decide(self, view: View) -> Push | None:
-        """The best push, or None where none is possible, or worth it now.
+    def deliberate(self, view: View, search: Search, planner: BatchPlanner, at: At) -> Deliberation:
+        """See `operators.Deliberate.deliberate`."""
+        # None, going on, comes first: of equals the first is taken.
+        inputs: list[Push | None] = [None, *self.ranked(view, IMAGINED)]
+        # Nominals only: no noise is drawn, so the keys do not matter. A reach under way has had
+        # its nominal, and is taken as it stands.
+        trials = yield from together(
+            [
+                attempt(planner, search, given, own_words(*at), push_limit=0, reach_limit=0)
+                for given in inputs
+            ]
+        )
+        ends = [
+            trial.total if trial.pushed or given is None else np.inf
+            for trial, given in zip(trials, inputs, strict=True)
+        ]
+        tired = view.request >= PATIENCE and (view.request - PATIENCE) % 2 == 0
+        if tired and np.isfinite(ends[1:]).any():
+            ends[0] = np.inf
+        return inputs[int(np.argmin(ends))]
 
-        Every second time it lets the robot try for itself: a push costs as many iterations as it
-        takes to see whether the last one has helped. A goal close to a side wall is hard with a
-        push as well, and going on solves as many of these: there the first requests are declined.
+    def ranked(self, view: View, count: int) -> list[Push]:
+        """The `count` best pushes (fewer where there are not so many), the best first.
+
+        No two of them are alike: a push that could not be planned says that its like cannot either.
+        So each pushes another object than those before it, or the same one another way.
         """
-        room = SIDE_WALL_Y - abs(view.objects[view.goal, 1])
-        declined = WALL_PATIENCE if room < WALL_ROOM else 0
-        if view.request < declined or (view.request - declined) % 2:
-            return None
-        return self.best_push(view)
-
-    def best_push(self, view: View) -> Push | None:
-        """The best push that has not failed yet; None where no push is possible."""
         pushed, targets = candidates(view)
-        if not len(pushed):
-            return None
-        cost = self._cost(view, pushed, targets)
-        order = np.argsort(cost, kind="stable")
-        # A push that could not be planned says that its like cannot either: offer another object,
-        # or the same one another way.
         chosen: list[int] = []
-        for c in order:
+        for c in np.argsort(self._cost(view, pushed, targets), kind="stable"):
+            if len(chosen) == count:
+                break
             alike = [
                 k
                 for k in chosen
@@ -98,10 +115,7 @@ class HeuristicOperator:
             ]
             if not alike:
                 chosen.append(int(c))
-            if len(chosen) > view.dropped:
-                break
-        x, y = targets[chosen[-1]]
-        return Push(int(pushed[chosen[-1]]), float(x), float(y))
+        return [Push(int(pushed[c]), *map(float, targets[c])) for c in chosen]
 
     def _cost(self, view: View, pushed: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """[P] cost of each candidate."""
@@ -119,16 +133,16 @@ class HeuristicOperator:
         # The push itself.
         others = np.arange(n)[None] != pushed[:, None]  # [P, N]
         to_goal = np.linalg.norm(objects[view.goal] - start, axis=1)
-        hits_goal = _segment_distance(objects, start, targets)[:, view.goal] < 2 * RADIUS
+        hits_goal = segment_distance(objects, start, targets)[:, view.goal] < 2 * RADIUS
         tip = AHEAD * ahead
-        hand_at_goal = _segment_distance(objects, behind + tip, stop + tip)[:, view.goal] < 0.085
-        beside = _segment_distance(objects, behind - 0.1 * ahead, behind + tip) < HALF_CLOSED
+        hand_at_goal = segment_distance(objects, behind + tip, stop + tip)[:, view.goal] < 0.085
+        beside = segment_distance(objects, behind - 0.1 * ahead, behind + tip) < HALF_CLOSED
         # An object in front of the hand at the end is a blocking cost.
         to = objects[None] - stop[:, None]
-        bearing = _wrap(np.arctan2(to[..., 1], to[..., 0]) - yaw)
+        bearing = wrap(np.arctan2(to[..., 1], to[..., 0]) - yaw)
         in_front = (np.hypot(np.linalg.norm(to, axis=-1), 0.09 * bearing) < 0.085) & others
         yaws = np.full(len(pushed), view.hand[2])
-        push_wall = _into_walls(behind, yaws, _CLOSED) + _into_walls(stop, yaws, _CLOSED)
+        push_wall = into_walls(behind, yaws, CLOSED) + into_walls(stop, yaws, CLOSED)
 
         # Then the hand retracts, and reaches for the goal along a new corridor.
         after = np.broadcast_to(objects, (len(pushed), n, 2)).copy()
@@ -163,42 +177,18 @@ class HeuristicOperator:
         # An object in the middle blocks; one at the corridor's edge is brushed aside.
         blockers = np.clip((CORRIDOR + RADIUS - aside) / CORRIDOR, 0, 1) * inside
         blockers[:, view.goal] = 0
-        blockers = blockers * (1 + _culprits(view))
+        blockers = blockers * (1 + culprits(view))
         # The reach nominal turns by half the goal's angle as seen from the base (D4).
         c, s = np.cos(view.hand[2]), np.sin(view.hand[2])
         seen = goal - ee + np.array([[c, -s], [s, c]]) @ hand.EE_POINT
-        turn = 0.5 * _wrap(np.arctan2(seen[:, 1], seen[:, 0]) - yaw)
-        wall = _into_walls(goal - REACH_SHORT * line, view.hand[2] + turn, _OPEN)
+        turn = 0.5 * wrap(np.arctan2(seen[:, 1], seen[:, 0]) - yaw)
+        wall = into_walls(goal - REACH_SHORT * line, view.hand[2] + turn, OPEN)
         return (
             w.room * length
             + w.angle * np.abs(turn)
             + w.blocker * blockers.sum(1)
             + w.reach_wall * wall
         )
-
-
-def _culprits(view: View) -> np.ndarray:
-    """[N] 1 for objects that stop the best trajectory so far, else 0."""
-    n = len(view.objects)
-    marked = np.zeros(n)
-    if not np.isfinite(view.terms).all():
-        return marked
-    last, pose = view.path[-1], view.hands[-1]
-    ee, yaw = _end_effector(pose), pose[2] + hand.POINTING_YAW
-    to = last - ee
-    bearing = _wrap(np.arctan2(to[:, 1], to[:, 0]) - yaw)
-    marked[np.hypot(np.linalg.norm(to, axis=1), 0.09 * bearing) < 0.075] = 1  # sits in the hand
-    goal_and_hand = {view.goal, n}
-    for force, (a, b) in zip(view.force[-1], view.bodies[-1], strict=True):
-        for one, other in ((a, b), (b, a)):
-            # What is ahead of the hand stops it, and what is jammed between hand and wall; what
-            # merely slides along its side does not.
-            stops = other in goal_and_hand and abs(bearing[one % n]) < 1.2 and force > 1
-            jammed = other == n + 1 and force > 20
-            if one < n and (stops or jammed):
-                marked[one] = 1
-    marked[view.goal] = 0
-    return marked
 
 
 def candidates(view: View) -> tuple[np.ndarray, np.ndarray]:
@@ -213,34 +203,3 @@ def candidates(view: View) -> tuple[np.ndarray, np.ndarray]:
     deep = (x > FRONT_MOST) & (x < BACK_WALL_X - room)
     keep = deep & (np.abs(y) < SIDE_WALL_Y - room) & (pushed != view.goal)
     return pushed[keep], targets[keep]
-
-
-def _segment_distance(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """[P, N] distance of points [N, 2] to the segments a-b, each [P, 2] or [2]."""
-    a, b = np.broadcast_arrays(a, b)
-    a, b = np.atleast_2d(a)[:, None], np.atleast_2d(b)[:, None]
-    ab = b - a
-    t = ((points[None] - a) * ab).sum(-1) / np.maximum((ab**2).sum(-1), 1e-12)
-    return np.linalg.norm(points[None] - a - np.clip(t, 0, 1)[..., None] * ab, axis=-1)
-
-
-def _into_walls(ee: np.ndarray, yaw: np.ndarray, capsules: np.ndarray) -> np.ndarray:
-    """[P] how far a hand at `ee` ([P, 2]), turned by `yaw` ([P]), is in a wall, m.
-
-    `capsules` are [C, 2, 2] axes in the hand's frame of what is ahead of the wrist.
-    """
-    c, s = np.cos(yaw), np.sin(yaw)
-    rel = capsules - hand.EE_POINT
-    x = ee[:, 0, None, None] + c[:, None, None] * rel[..., 0] - s[:, None, None] * rel[..., 1]
-    y = ee[:, 1, None, None] + s[:, None, None] * rel[..., 0] + c[:, None, None] * rel[..., 1]
-    over = np.maximum(np.abs(y) - SIDE_WALL_Y, x - BACK_WALL_X) + _FRONT_RADII[:, None]
-    return np.clip(over.max((1, 2)), 0, None)
-
-
-def _end_effector(pose: np.ndarray) -> np.ndarray:
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return pose[:2] + np.array([[c, -s], [s, c]]) @ hand.EE_POINT
-
-
-def _wrap(angle: np.ndarray) -> np.ndarray:
-    return np.arctan2(np.sin(angle), np.cos(angle))

@@ -2,22 +2,22 @@
 
 phi_auto and phi_human are two `Predictor`s of one kind: features of the last P = 3 iterations in,
 the cost of the best trajectory l = 10 reach iterations on out (`rows` defines both). The gain that
-a robot bids is the difference of the two.
+a robot bids is the difference of the two: a `Pair`. `Direct` and `Failure` are `Bidder`s of other
+kinds.
 """
 
 import dataclasses
 import functools
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import linen as nn
 
-from pgf_jax.guidance.rows import FEATURES, history_features
-
-__all__ = ["HIDDEN", "LANES", "MLP", "Predictor", "forward", "gain", "history_features", "init"]
+from pgf_jax.guidance.rows import FEATURES
+from pgf_jax.guidance.state import STATE
 
 HIDDEN = (64, 32, 8)
 # Rows evaluated in one call; a constant, so that there is one compiled program (see `predict`).
@@ -28,48 +28,60 @@ class MLP(nn.Module):
     """Features in, one number out: ReLU layers of the given widths, then a linear unit."""
 
     hidden: tuple[int, ...] = HIDDEN
+    dropout: float = 0.0  # share of the units dropped after each hidden layer, where a key is given
 
     @nn.compact
-    def __call__(self, x: jax.Array) -> jax.Array:
-        """[10] normalised features -> [] cost."""
+    def __call__(self, x: jax.Array, train: bool = False) -> jax.Array:
+        """[F] normalised features -> [] cost."""
         # Full float32 precision: accelerators round the factors of a product otherwise.
         for width in self.hidden:
             x = nn.relu(nn.Dense(width, precision=jax.lax.Precision.HIGHEST)(x))
+            x = nn.Dropout(self.dropout, deterministic=not train)(x)
         return nn.Dense(1, precision=jax.lax.Precision.HIGHEST)(x)[0]
+
+
+class Bidder(Protocol):
+    """Says what robots may bid."""
+
+    def gain(self, states: np.ndarray) -> np.ndarray:
+        """[B, S] states (`guidance.state`) -> [B]; nan where a state lacks what it takes."""
+        ...
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Predictor:
-    """A trained network with the normalisation of its input; a pytree.
+    """A trained network, or E of them that vote, with the normalisation of its input; a pytree.
 
     Attributes:
-      params: the network's parameters, `{"Dense_i": {"kernel": [in, out], "bias": [out]}}` float32.
-      mean: [10] float32, subtracted from the features.
-      scale: [10] float32, the features are divided by it; 1 where a feature never varied.
+      params: parameters, `{"Dense_i": {"kernel": [E, in, out], "bias": [E, out]}}` float32.
+      mean: [F] float32, subtracted from the features.
+      scale: [F] float32, the features are divided by it; 1 where a feature never varied.
       hidden: widths of the hidden layers (static).
+      features: names of its inputs, of `state.STATE` (static).
     """
 
     params: Mapping[str, Any]
-    mean: jax.Array  # [10]
-    scale: jax.Array  # [10]
+    mean: jax.Array  # [F]
+    scale: jax.Array  # [F]
     hidden: tuple[int, ...] = dataclasses.field(default=HIDDEN, metadata={"static": True})
+    features: tuple[str, ...] = dataclasses.field(default=FEATURES, metadata={"static": True})
 
     def predict(self, features: np.ndarray | jax.Array) -> np.ndarray:
-        """Predicted costs; nan where a feature is not finite (no history yet, say).
+        """Predictions, the mean of its members'; nan where a feature is not finite.
 
         A row's prediction depends on that row alone, bit for bit: rows are evaluated one after
         another within one compiled program of fixed shape, whatever B is.
 
         Args:
-          features: [B, 10], in the order of `rows.FEATURES`.
+          features: [B, F], in the order of `self.features`.
 
         Returns:
           [B] float32, not clipped.
         """
         rows = np.asarray(features, dtype=np.float32)
-        if rows.ndim != 2 or rows.shape[1] != len(FEATURES):
-            raise ValueError(f"features must be [B, {len(FEATURES)}], got shape {rows.shape}")
+        if rows.ndim != 2 or rows.shape[1] != len(self.features):
+            raise ValueError(f"features must be [B, {len(self.features)}], got shape {rows.shape}")
         padded = np.zeros((-(-len(rows) // LANES) * LANES, rows.shape[1]), np.float32)
         padded[: len(rows)] = rows
         parts = [
@@ -79,13 +91,79 @@ class Predictor:
         cost = np.concatenate([np.zeros(0, np.float32), *parts])[: len(rows)]
         return np.where(np.isfinite(rows).all(axis=1), cost, np.float32(np.nan))
 
+    def of_states(self, states: np.ndarray) -> np.ndarray:
+        """[B, S] states, of which it takes its features -> [B] predictions."""
+        return self.predict(states[:, [STATE.index(name) for name in self.features]])
 
-def forward(predictor: Predictor, features: jax.Array) -> jax.Array:
-    """[10] features of one robot -> [] predicted cost; traceable, `vmap` it for more."""
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Pair:
+    """The paper's: two costs are predicted, and the gain is their difference."""
+
+    auto: Predictor
+    human: Predictor
+
+    def gain(self, states: np.ndarray) -> np.ndarray:
+        """phi_auto - phi_human, each clipped at 0, in units of cost; see `Bidder.gain`."""
+        zero = np.float32(0)
+        auto, human = (phi.of_states(states) for phi in (self.auto, self.human))
+        return np.maximum(auto, zero) - np.maximum(human, zero)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Direct:
+    """The gain itself is predicted; learned from forks, where it is known."""
+
+    network: Predictor
+
+    def gain(self, states: np.ndarray) -> np.ndarray:
+        """Predicted gain, in units of cost; see `Bidder.gain`."""
+        return self.network.of_states(states)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Failure:
+    """The probability of being unsolved `rows.LOOK_AHEAD` iterations on without help."""
+
+    network: Predictor  # of the log-odds
+
+    def gain(self, states: np.ndarray) -> np.ndarray:
+        """Predicted probability; see `Bidder.gain`."""
+        # The logistic function in a form that does not overflow.
+        return 0.5 * (1 + np.tanh(0.5 * self.network.of_states(states)))
+
+
+def forward(
+    predictor: Predictor,
+    features: jax.Array,
+    *,
+    dropout: float = 0.0,
+    key: jax.Array | None = None,
+) -> jax.Array:
+    """[F] features of one robot -> [] prediction; traceable, `vmap` it for more.
+
+    Args:
+      predictor: the network.
+      features: of one robot.
+      dropout: while training: share of the hidden units that is dropped, by `key`.
+      key: consumed.
+    """
     x = (features - predictor.mean) / predictor.scale
-    cost = MLP(predictor.hidden).apply({"params": predictor.params}, x)
-    assert isinstance(cost, jax.Array)
-    return cost
+    network = MLP(predictor.hidden, dropout)
+    rngs = None if key is None else {"dropout": key}
+
+    def member(params: Any) -> jax.Array:
+        cost = network.apply({"params": params}, x, train=key is not None, rngs=rngs)
+        assert isinstance(cost, jax.Array)
+        return cost
+
+    return jax.vmap(member)(predictor.params).mean()
+
+
+def combine(members: Sequence[Predictor]) -> Predictor:
+    """One predictor of several that were trained on the same rows."""
+    params = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *(m.params for m in members))
+    return dataclasses.replace(members[0], params=params)
 
 
 @jax.jit
@@ -94,30 +172,14 @@ def _predict_lanes(predictor: Predictor, features: jax.Array) -> jax.Array:
     return jax.lax.map(lambda row: forward(predictor, row), features)
 
 
-def gain(auto: Predictor, human: Predictor, features: np.ndarray | jax.Array) -> np.ndarray:
-    """What help is predicted to be worth: phi_auto - phi_human, each clipped at 0.
-
-    Args:
-      auto: phi_auto, the cost without help.
-      human: phi_human, the cost after help.
-      features: [B, 10], in the order of `rows.FEATURES`.
-
-    Returns:
-      [B] float32, in units of cost; nan where a feature is not finite (no history yet, say).
-    """
-    return np.maximum(auto.predict(features), np.float32(0)) - np.maximum(
-        human.predict(features), np.float32(0)
-    )
-
-
 def normalisation(features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and scale (the standard deviation, 1 where that is zero) of features.
 
     Args:
-      features: [M, 10].
+      features: [M, F].
 
     Returns:
-      Two [10] float32 arrays.
+      Two [F] float32 arrays.
     """
     x = np.asarray(features, dtype=np.float64)
     mean, deviation = x.mean(axis=0), x.std(axis=0)
@@ -126,13 +188,18 @@ def normalisation(features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return mean.astype(np.float32), np.where(constant, 1.0, deviation).astype(np.float32)
 
 
-@functools.partial(jax.jit, static_argnums=1)
-def _init_params(key: jax.Array, hidden: tuple[int, ...]) -> dict[str, Any]:
-    return dict(MLP(hidden).init(key, jnp.zeros(len(FEATURES), jnp.float32))["params"])
+@functools.partial(jax.jit, static_argnums=(1, 2))
+def _init_params(key: jax.Array, hidden: tuple[int, ...], features: int) -> dict[str, Any]:
+    return dict(MLP(hidden).init(key, jnp.zeros(features, jnp.float32))["params"])
 
 
 def init(
-    key: jax.Array, features: np.ndarray, target: np.ndarray, *, hidden: tuple[int, ...] = HIDDEN
+    key: jax.Array,
+    features: np.ndarray,
+    target: np.ndarray,
+    *,
+    hidden: tuple[int, ...] = HIDDEN,
+    names: tuple[str, ...] = FEATURES,
 ) -> Predictor:
     """An untrained predictor that is right about the mean and the spread of its target.
 
@@ -141,17 +208,24 @@ def init(
 
     Args:
       key: consumed.
-      features: [M, 10] rows for training.
+      features: [M, F] rows for training.
       target: [M] their targets.
       hidden: widths of the hidden layers.
+      names: of the features.
     """
     mean, scale = normalisation(features)
     y = np.asarray(target, dtype=np.float64)
-    params = _init_params(key, hidden)
+    params = _init_params(key, hidden, len(names))
     last = f"Dense_{len(hidden)}"
     spread = np.float32(y.std()) if y.std() > 0 else np.float32(1)
     params[last] = {
         "kernel": params[last]["kernel"] * spread,
         "bias": jnp.full(1, y.mean(), jnp.float32),
     }
-    return Predictor(params=params, mean=jnp.asarray(mean), scale=jnp.asarray(scale), hidden=hidden)
+    return Predictor(
+        params=jax.tree.map(lambda leaf: leaf[None], params),
+        mean=jnp.asarray(mean),
+        scale=jnp.asarray(scale),
+        hidden=hidden,
+        features=names,
+    )

@@ -12,8 +12,8 @@ A *training row* is taken at the end of a reach iteration, the moment at which a
 
 `autonomous_rows` takes one row at every reach iteration of runs without help, `human_rows` one at
 the iteration before each human input; a further input among the 10 iterations is part of what
-that help led to. Another choice of rows (the published code's, say) is another function from the
-same frame to `Rows`.
+that help led to. `PUBLISHED` is the published code's rule in place of the paper's (D6), for an
+ablation.
 """
 
 import dataclasses
@@ -34,25 +34,55 @@ FEATURES = (
 )
 
 
+@dataclasses.dataclass(frozen=True)
+class Rule:
+    """How rows are made of runs; the default is the paper's.
+
+    Attributes:
+      look_ahead: l, in reach iterations.
+      carried: a run that ends earlier is carried forward with its last reach cost; otherwise it
+        gives no row there, so that what is learned is learned from the slow runs only.
+      ring: the history is read as it lies in a buffer of P places that is written round and round:
+        out of time order but at every third iteration.
+    """
+
+    look_ahead: int = LOOK_AHEAD
+    carried: bool = True
+    ring: bool = False
+
+
+PAPER = Rule()
+PUBLISHED = Rule(look_ahead=11, carried=False, ring=True)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rows:
     """Training rows.
 
     Attributes:
-      features: [M, 10] float64, in the order of `FEATURES`.
+      features: [M, F] float64, in the order of `names`.
       target: [M] float64, the cost `LOOK_AHEAD` reach iterations on.
+      unsolved: [M] bool, whether the task is still unsolved then.
       scene: [M] str, the scene each row comes from.
       iteration: [M] int64, the iteration (over the run) at whose end the row is taken.
       non_finite: rows left out because a feature or the target is not finite.
       short: human inputs without a row, because fewer than P iterations came before them.
+      names: of the features.
     """
 
-    features: np.ndarray  # [M, 10]
+    features: np.ndarray  # [M, F]
     target: np.ndarray  # [M]
+    unsolved: np.ndarray  # [M]
     scene: np.ndarray  # [M]
     iteration: np.ndarray  # [M]
     non_finite: int = 0
     short: int = 0
+    names: tuple[str, ...] = FEATURES
+
+    def only(self, names: tuple[str, ...]) -> "Rows":
+        """The same rows with some of the features."""
+        columns = [self.names.index(name) for name in names]
+        return dataclasses.replace(self, features=self.features[:, columns], names=names)
 
 
 def history_features(n_objects: int, history: Sequence[Sequence[float]] | np.ndarray) -> np.ndarray:
@@ -85,11 +115,12 @@ class _Run:
     asked_before: np.ndarray  # [I] bool
 
 
-def autonomous_rows(frame: pl.DataFrame) -> Rows:
+def autonomous_rows(frame: pl.DataFrame, rule: Rule = PAPER) -> Rows:
     """A row at the end of every reach iteration with enough history, of runs without help.
 
     Args:
       frame: runs as `read_runs` returns them.
+      rule: how rows are made.
 
     Returns:
       The rows, run by run in order of (scene, seed), then of iteration.
@@ -98,21 +129,29 @@ def autonomous_rows(frame: pl.DataFrame) -> Rows:
       BadInput: a run has human input in it.
     """
     check_unhelped(frame, "runs")
-    return _rows(frame, lambda run: np.flatnonzero(run.reach))
+    return _rows(frame, lambda run: np.flatnonzero(run.reach), rule)
 
 
-def human_rows(frame: pl.DataFrame) -> Rows:
+def failure_rows(frame: pl.DataFrame, rule: Rule = PAPER) -> Rows:
+    """`autonomous_rows`, with 1 for a target where the task is still unsolved then, and else 0."""
+    rows = autonomous_rows(frame, rule)
+    return dataclasses.replace(rows, target=rows.unsolved.astype(np.float64))
+
+
+def human_rows(frame: pl.DataFrame, rule: Rule = PAPER) -> Rows:
     """A row for each human input, at the end of the iteration before it.
 
     Args:
       frame: runs as `read_runs` returns them.
+      rule: how rows are made.
 
     Returns:
       The rows, run by run in order of (scene, seed), then of iteration.
     """
-    rows = _rows(frame, _before_inputs)
+    rows = _rows(frame, _before_inputs, rule)
     inputs = sum(len(_before_inputs(run)) for run in _split_runs(frame))
-    return dataclasses.replace(rows, short=inputs - len(rows.target) - rows.non_finite)
+    missing = inputs - len(rows.target) - rows.non_finite if rule.carried else 0
+    return dataclasses.replace(rows, short=missing)
 
 
 def _before_inputs(run: _Run) -> np.ndarray:
@@ -120,9 +159,9 @@ def _before_inputs(run: _Run) -> np.ndarray:
     return np.flatnonzero(run.asked_before) - 1
 
 
-def _rows(frame: pl.DataFrame, moments: Callable[[_Run], np.ndarray]) -> Rows:
+def _rows(frame: pl.DataFrame, moments: Callable[[_Run], np.ndarray], rule: Rule) -> Rows:
     """Rows at those of `moments(run)` (iterations) that have features and are not solved."""
-    features, target, scene, iteration = [], [], [], []
+    features, target, unsolved, scene, iteration = [], [], [], [], []
     for run in _split_runs(frame):
         cost = run.terms.sum(axis=1)  # [I]
         reach = np.flatnonzero(run.reach)
@@ -131,9 +170,15 @@ def _rows(frame: pl.DataFrame, moments: Callable[[_Run], np.ndarray]) -> Rows:
             if t < 0 or run.local[t] < HISTORY or (run.solved and t == len(cost) - 1):
                 continue
             # The first iteration with the count; an iteration 0 after it repeats the count.
-            ahead = int(np.searchsorted(counted, counted[t] + LOOK_AHEAD))
-            features.append(history_features(run.n_objects, run.terms[t - HISTORY + 1 : t + 1]))
+            ahead = int(np.searchsorted(counted, counted[t] + rule.look_ahead))
+            if ahead == len(cost) and not rule.carried:
+                continue
+            history = run.terms[t - HISTORY + 1 : t + 1]
+            if rule.ring:
+                history = np.roll(history, run.local[t], axis=0)
+            features.append(history_features(run.n_objects, history))
             target.append(cost[ahead] if ahead < len(cost) else cost[reach[-1]])
+            unsolved.append(not run.solved or ahead < len(cost) - 1)
             scene.append(run.scene)
             iteration.append(int(t))
     x = np.array(features, dtype=np.float64).reshape(-1, len(FEATURES))
@@ -142,6 +187,7 @@ def _rows(frame: pl.DataFrame, moments: Callable[[_Run], np.ndarray]) -> Rows:
     return Rows(
         features=x[kept],
         target=y[kept],
+        unsolved=np.array(unsolved, dtype=bool)[kept],
         scene=np.array(scene, dtype=np.str_)[kept],
         iteration=np.array(iteration, dtype=np.int64)[kept],
         non_finite=int((~kept).sum()),

@@ -25,14 +25,14 @@ allowed (a rollout that blew up is data); rows that would need them are skipped 
 """
 
 import enum
-import io
-import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
 from pgf_jax.errors import BadInput
+from pgf_jax.guidance.tables import check_columns, read_table, write_table
 
 RUN_SCHEMA: dict[str, pl.DataType] = {
     "scene": pl.String(),
@@ -56,11 +56,13 @@ class Mode(enum.StrEnum):
 
     AUTONOMOUS = "autonomous"
     HUMAN = "human"
+    FORKS = "forks"
 
 
 def runs_path(data_dir: Path | str, mode: Mode) -> Path:
-    """Where the runs of this mode lie in a folder of collected data."""
-    return Path(data_dir) / mode / "runs.parquet"
+    """Where the runs of this mode, or the forks, lie in a folder of collected data."""
+    name = "forks.parquet" if mode == Mode.FORKS else "runs.parquet"
+    return Path(data_dir) / mode / name
 
 
 class RunLog:
@@ -119,8 +121,15 @@ class RunLog:
         return pl.DataFrame(self._rows, schema=RUN_SCHEMA)
 
 
-def write_runs(path: Path | str, frames: Iterable[pl.DataFrame]) -> None:
+def write_runs(
+    path: Path | str, frames: Iterable[pl.DataFrame], about: Mapping[str, Any] | None = None
+) -> None:
     """Write runs (each a `RunLog.frame()`) as one file, ordered by scene, seed and iteration.
+
+    Args:
+      path: the file.
+      frames: the runs.
+      about: where they come from, for the file's metadata.
 
     Raises:
       BadInput: the frames are not valid runs, or the file cannot be written.
@@ -129,9 +138,7 @@ def write_runs(path: Path | str, frames: Iterable[pl.DataFrame]) -> None:
     if not frames:
         raise BadInput(f"{path}: there are no runs to write")
     frame = check_runs(pl.concat(frames), str(path))
-    buffer = io.BytesIO()
-    frame.write_parquet(buffer)
-    write_atomically(path, buffer.getvalue())
+    write_table(path, frame, about)
 
 
 def read_runs(path: Path | str, *, mode: Mode | None = None) -> pl.DataFrame:
@@ -148,14 +155,7 @@ def read_runs(path: Path | str, *, mode: Mode | None = None) -> pl.DataFrame:
       BadInput: the file is missing, not a whole Parquet file, empty, lacks a column, or holds
         something that is not a run.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise BadInput(f"{path}: no such file, expected collected runs (Parquet)")
-    try:
-        frame = pl.read_parquet(io.BytesIO(path.read_bytes()))
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise BadInput(f"{path}: not a readable Parquet file ({reason})") from error
+    frame = read_table(path, RUN_SCHEMA, "collected runs")
     frame = check_runs(frame, str(path))
     if mode == Mode.AUTONOMOUS:
         check_unhelped(frame, str(path))
@@ -164,20 +164,8 @@ def read_runs(path: Path | str, *, mode: Mode | None = None) -> pl.DataFrame:
 
 def check_runs(frame: pl.DataFrame, name: str) -> pl.DataFrame:
     """The frame's runs in canonical order and columns, or BadInput with `name` in the message."""
-    for column, dtype in RUN_SCHEMA.items():
-        if column not in frame.columns:
-            raise BadInput(f"{name}: column {column} is missing, expected {', '.join(RUN_SCHEMA)}")
-        if frame.schema[column] != dtype:
-            raise BadInput(
-                f"{name}: column {column} has type {frame.schema[column]}, expected {dtype}"
-            )
-        if frame[column].null_count():
-            raise BadInput(
-                f"{name}: column {column} has {frame[column].null_count()} nulls, expected none"
-            )
-    if frame.is_empty():
-        raise BadInput(f"{name}: holds no rows, expected at least one run")
-    frame = frame.select(list(RUN_SCHEMA)).sort([*RUN, "iteration"], maintain_order=True)
+    frame = check_columns(frame, RUN_SCHEMA, name)
+    frame = frame.sort([*RUN, "iteration"], maintain_order=True)
 
     first = pl.int_range(pl.len()).over(*RUN) == 0
     step = pl.col("segment").diff().over(*RUN)
@@ -218,22 +206,3 @@ def check_unhelped(frame: pl.DataFrame, name: str) -> None:
             f"{name}: scene {helped['scene'][0]} has human input at iteration "
             f"{helped['iteration'][0]}, expected runs without help"
         )
-
-
-def write_atomically(path: Path | str, data: bytes) -> None:
-    """Write a file whole or not at all, making its folder where needed.
-
-    Raises:
-      BadInput: it cannot be written there.
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            temporary.write_bytes(data)
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be written ({error.strerror})") from error

@@ -109,3 +109,9 @@ def _short(value: object) -> str:
     """One line of at most 60 characters for an error message."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def class_of(scene: Scene) -> str:
+    """The class that a sampled scene's name begins with; `file` for others."""
+    head = scene.name.split("_")[0]
+    return head if head in ("tight", "medium", "wide") else "file"

@@ -6,6 +6,8 @@ have no help. In a human run the operator gives one input, after a reach iterati
 input takes no simulated time, which would only cut runs short at random. Runs solved before their
 turn comes hold no input, and give no rows.
 
+Forks (`study.forks`) are collected in the same way.
+
 Runs are written in parts as scenes end, and merged into `runs.parquet` when all are there; what a
 run holds depends on its scene and the settings alone, so the file is the same to the last bit
 however often collecting was interrupted.
@@ -15,26 +17,23 @@ import dataclasses
 import json
 import shutil
 import time
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
 from pgf_jax.errors import BadInput
-from pgf_jax.fleet import Fleet
-from pgf_jax.fleet.service import stream
-from pgf_jax.guidance.runs import RUN, Mode, read_runs, runs_path, write_atomically, write_runs
-from pgf_jax.scene.sampling import OBJECTS, sample_scene
-from pgf_jax.scene.scene import Scene
-from pgf_jax.study.asks import once_after
+from pgf_jax.guidance.forks import read_forks, write_forks
+from pgf_jax.guidance.runs import RUN, Mode, read_runs, runs_path, write_runs
+from pgf_jax.guidance.tables import read_provenance, write_atomically
+from pgf_jax.study import collect_run
 from pgf_jax.study.collect_config import CollectConfig
-from pgf_jax.study.crew import Crew, Robot, drive
-from pgf_jax.study.plan import planning_computer, single_robot
+from pgf_jax.study.collect_run import PARTS
+from pgf_jax.study.manifest import environment
+from pgf_jax.study.results import json_bytes
 
 SETTINGS = "collect.json"
-PARTS = "parts"
 # Settings that must be as they were for runs to be continued; more scenes may always be added.
 _KEPT = (
     "mode",
@@ -49,6 +48,7 @@ _KEPT = (
     "task_limit",
     "ask_from",
     "ask_to",
+    "keys",
 )
 
 
@@ -57,16 +57,19 @@ class Collected:
     """What a collection holds.
 
     Attributes:
-      path: of the runs.
-      runs: scenes planned.
+      path: of the runs, or forks.
+      scenes: scenes planned.
+      runs: runs in the file, one a scene; forks: states, one of each scene that was not solved
+        too soon.
       by_class: how many of each scene class.
-      solved: runs that ended with a feasible reach.
-      iterations: of all runs, iteration 0s included.
-      inputs: human inputs given.
+      solved: runs that ended with a feasible reach; forks: states with a future alone that did.
+      iterations: of all runs, iteration 0s included; forks: of all futures.
+      inputs: runs with human input; forks: states at which it was a push.
       seconds: wall time of this call.
     """
 
     path: Path
+    scenes: int
     runs: int
     by_class: dict[str, int]
     solved: int
@@ -94,84 +97,23 @@ def collect(
     began = time.monotonic()
     path = runs_path(config.out, Mode(config.mode))
     done = _open(config, path)
-    todo = [i for i in range(config.scenes) if _name(config, i) not in done]
-    store = _Store(path, config.chunk)
+    todo = [i for i in range(config.scenes) if i not in done]
     progress = on_progress or (lambda done, wanted: None)
-    progress(config.scenes - len(todo), config.scenes)
+    left = len(todo)
+    progress(config.scenes - left, config.scenes)
 
-    def ended(robot: Robot) -> None:
-        store.add(robot.log.frame())
-        progress(config.scenes - len(todo) + store.added, config.scenes)
+    def ended() -> None:
+        nonlocal left
+        left -= 1
+        progress(config.scenes - left, config.scenes)
 
-    if todo:
-        computer = planning_computer(config, OBJECTS)
-
-        def fleets() -> Iterator[tuple[Fleet, Crew]]:
-            for i in todo:
-                scene = scene_of(config, i)
-                human = config.mode == "human"
-                yield single_robot(
-                    computer,
-                    scene,
-                    config.seed + i,
-                    operator=config.operator if human else "none",
-                    policy=once_after(ask_at(config, scene)) if human else "autonomous",
-                    task_limit_s=config.task_limit,
-                    service_s=(0.0, 0.0),
-                    on_end=ended,
-                )
-
-        try:
-            # No more under way than fit in a call, so that its lanes stay full to the end.
-            drive(fleets(), computer, at_once=config.lanes)
-        finally:
-            store.flush()
-    return _summary(path, _merge(path), time.monotonic() - began)
+    about = _provenance(config)
+    collect_run.run(config, todo, about, ended)
+    merged = _merge(config, path, {**about, "scenes": config.scenes})
+    return _summary(config, path, merged, time.monotonic() - began)
 
 
-def scene_of(config: CollectConfig, index: int) -> Scene:
-    """Scene number `index`: classes in turn, and a seed of its own."""
-    return sample_scene(config.seed + index, config.classes[index % len(config.classes)])
-
-
-def ask_at(config: CollectConfig, scene: Scene) -> int:
-    """The reach iteration after which the input of a scene comes, drawn by (seed, scene)."""
-    draw = stream(config.seed, "ask-at", zlib.crc32(scene.name.encode()))
-    return int(draw.integers(config.ask_from, config.ask_to, endpoint=True))
-
-
-def _name(config: CollectConfig, index: int) -> str:
-    return f"{config.classes[index % len(config.classes)]}_{config.seed + index}"
-
-
-class _Store:
-    """Finished runs on their way to disk."""
-
-    def __init__(self, path: Path, chunk: int) -> None:
-        self.added = 0
-        self._folder, self._chunk = path.parent / PARTS, chunk
-        self._frames: list[pl.DataFrame] = []
-
-    def add(self, frame: pl.DataFrame) -> None:
-        """Keep a run, and write when there are enough."""
-        self.added += 1
-        self._frames.append(frame)
-        if len(self._frames) >= self._chunk:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write what is kept as a new part."""
-        if self._frames:
-            number = len(_parts(self._folder.parent))
-            write_runs(self._folder / f"part_{number:05d}.parquet", self._frames)
-            self._frames = []
-
-
-def _parts(folder: Path) -> list[Path]:
-    return sorted((folder / PARTS).glob("part_*.parquet"))
-
-
-def _open(config: CollectConfig, path: Path) -> set[str]:
+def _open(config: CollectConfig, path: Path) -> set[int]:
     """Write the settings, or check them against those of earlier calls; scenes done so far."""
     settings = path.parent / SETTINGS
     found = [p for p in (path, settings, path.parent / PARTS) if p.exists()]
@@ -189,9 +131,16 @@ def _open(config: CollectConfig, path: Path) -> set[str]:
         if config.scenes < before["scenes"]:
             raise BadInput(f"scenes: expected {before['scenes']} or more, got {config.scenes}")
     kept = {name: wanted[name] for name in (*_KEPT, "scenes")}
-    write_atomically(settings, (json.dumps(kept, indent=2) + "\n").encode())
-    runs = _read_all(path)
-    return set() if runs is None else set(runs["scene"].unique())
+    write_atomically(settings, json_bytes({**kept, **environment()}))
+    files = _files(path)
+    _read_all(config, files)  # a broken one is named before anything is computed
+    return set().union(*map(_scenes_in, files))
+
+
+def _provenance(config: CollectConfig) -> dict[str, Any]:
+    """What the data depend on, for the files' metadata."""
+    settings = {name: getattr(config, name) for name in _KEPT}
+    return {"settings": settings, "versions": environment()["versions"]}
 
 
 def _read_settings(path: Path) -> dict[str, Any]:
@@ -204,36 +153,51 @@ def _read_settings(path: Path) -> dict[str, Any]:
     return settings
 
 
-def _read_all(path: Path) -> pl.DataFrame | None:
-    """All runs so far; a part merged before an interruption counts once."""
-    files = [p for p in [path, *_parts(path.parent)] if p.exists()]
-    frames = [read_runs(file) for file in files]
-    if not frames:
-        return None
-    return pl.concat(frames).unique([*RUN, "iteration"], keep="first")
+def _files(path: Path) -> list[Path]:
+    return [p for p in [path, *sorted((path.parent / PARTS).glob("part_*.parquet"))] if p.exists()]
 
 
-def _merge(path: Path) -> pl.DataFrame:
-    runs = _read_all(path)
-    assert runs is not None, "a run has one iteration or more"
-    if _parts(path.parent):
-        write_runs(path, [runs])
+def _scenes_in(file: Path) -> set[int]:
+    """Numbers of the scenes that a file holds, those that gave no rows included."""
+    about = read_provenance(file)
+    return set(about["indices"] if "indices" in about else range(about["scenes"]))
+
+
+def _read_all(config: CollectConfig, files: list[Path]) -> pl.DataFrame | None:
+    """All rows of the files; a part merged before an interruption counts once."""
+    read, row = (read_forks, "key") if config.mode == "forks" else (read_runs, "iteration")
+    frames = [read(file) for file in files]
+    return pl.concat(frames).unique([*RUN, row], keep="first") if frames else None
+
+
+def _merge(config: CollectConfig, path: Path, about: dict[str, Any]) -> pl.DataFrame:
+    files = _files(path)
+    frame = _read_all(config, files)
+    if frame is None:
+        raise BadInput(f"scenes: all {config.scenes} were solved too soon for a fork")
+    if len(files) > 1 or files[0] != path or _scenes_in(path) != set(range(config.scenes)):
+        (write_forks if config.mode == "forks" else write_runs)(path, [frame], about)
     shutil.rmtree(path.parent / PARTS, ignore_errors=True)
-    return read_runs(path)
+    return frame
 
 
-def _summary(path: Path, runs: pl.DataFrame, seconds: float) -> Collected:
-    by_run = runs.group_by(RUN, maintain_order=True).agg(
-        pl.col("class").first(),
-        ((pl.col("kind") == "reach") & pl.col("feasible")).any().alias("solved"),
+def _summary(config: CollectConfig, path: Path, frame: pl.DataFrame, seconds: float) -> Collected:
+    forks = config.mode == "forks"
+    solved = pl.col("alone_solved") if forks else pl.col("feasible") & (pl.col("kind") == "reach")
+    inputs = pl.col("input") == "push" if forks else pl.col("asked_before")
+    iterations = pl.sum("alone_iterations", "helped_iterations") if forks else pl.len()
+    by_run = frame.group_by(RUN).agg(
+        pl.col("class").first(), solved.any().alias("solved"), inputs.any().alias("inputs")
     )
+    count = frame.select(pl.sum_horizontal(iterations)).item()
     classes = by_run["class"].value_counts().sort("class").rows()
     return Collected(
         path=path,
+        scenes=config.scenes,
         runs=len(by_run),
         by_class={name: int(count) for name, count in classes},
         solved=int(by_run["solved"].sum()),
-        iterations=len(runs),
-        inputs=int(runs["asked_before"].sum()),
+        iterations=int(count),
+        inputs=int(by_run["inputs"].sum()),
         seconds=seconds,
     )

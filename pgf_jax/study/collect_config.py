@@ -25,28 +25,33 @@ class CollectConfig:
     """Plan sampled scenes and keep every iteration, for `train`.
 
     Attributes:
-      mode: autonomous: nobody helps; human: input is given once in each run that lasts so long.
+      mode: autonomous: nobody helps; human: input is given once in each run that lasts so long;
+        forks: one state of each such run is carried on with input and without, for the true gain.
       scenes: how many; scene i has seed + i for its own seed (of layout and noise).
-      out: folder of the data; gets autonomous/runs.parquet or human/runs.parquet.
+      out: folder of the data; gets autonomous/runs.parquet, human/runs.parquet or
+        forks/forks.parquet.
       classes: scene classes, taken in turn: the mix is even.
       seed: of the first scene.
       engine: physics engine: planar, mjx, native, or a registered one.
       physics: default, or the paper's substep and the authors' softness.
       cost: cost variant: the authors' source, or the paper's text.
       update: greedy or stomp.
-      operator: who gives the input of human runs.
+      operator: who gives the input of human runs and forks.
       lanes: L, scenes computed in one call; None: a constant of the engine, as in a sweep.
       task_limit: simulated time of a run, s. The default ends an unsolved run after reach iteration
         39, or in human runs at least 10 reach iterations (the predictors' look-ahead) after the
         input, however long its push took to plan.
       ask_from: human: input comes after a reach iteration drawn evenly from ask_from..ask_to; the
-        third is the first with a full history.
-      ask_to: human: see ask_from.
+        third is the first with a full history. forks: of the unsolved ones among these.
+      ask_to: see ask_from.
+      keys: forks: futures of a state under other noise, each with input and without.
+      workers: processes that share the scenes, each on cores of its own; None: one a core for
+        planar, else 1. What is collected does not depend on them.
       chunk: finished runs are written this many at a time: what an interruption can lose.
       resume: continue what was interrupted, or add scenes to what is there.
     """
 
-    mode: tyro.conf.Positional[Literal["autonomous", "human"]]
+    mode: tyro.conf.Positional[Literal["autonomous", "human", "forks"]]
     scenes: int
     out: Path
     classes: tuple[Literal["tight", "medium", "wide"], ...] = CLASSES
@@ -60,21 +65,25 @@ class CollectConfig:
     task_limit: float = 120.0
     ask_from: int = 3
     ask_to: int = 12
+    keys: int = 8
+    workers: int | None = None
     chunk: int = 20
     resume: bool = False
 
     def __post_init__(self) -> None:
-        one_of("mode", self.mode, ["autonomous", "human"])
+        one_of("mode", self.mode, ["autonomous", "human", "forks"])
         whole("scenes", self.scenes, 1)
         whole("seed", self.seed, 0, MAX_SEED - self.scenes + 1)
-        whole("chunk", self.chunk, 1)
+        for name in ("chunk", "keys", "workers"):
+            if name != "workers" or self.workers is not None:
+                whole(name, getattr(self, name), 1)
         if self.lanes is None:
             object.__setattr__(self, "lanes", LANES.get(self.engine, OTHER_LANES))
         check_planning(self)
-        if self.mode == "human":
+        if self.mode != "autonomous":
             check_operator(self.operator)
             if self.operator == "none":
-                raise BadInput("operator: human runs need one that gives input, got 'none'")
+                raise BadInput(f"operator: {self.mode} runs need one that gives input, got 'none'")
         if not self.classes:
             raise BadInput(f"classes: expected one or more of {', '.join(CLASSES)}, got none")
         for name in self.classes:
@@ -82,5 +91,6 @@ class CollectConfig:
         if len(set(self.classes)) != len(self.classes):
             raise BadInput(f"classes: expected each at most once, got {' '.join(self.classes)}")
         at_least("task_limit", self.task_limit, 1.5)  # the nominal's own rollout
-        whole("ask_from", self.ask_from, 0)
+        # Forks are described by a full history.
+        whole("ask_from", self.ask_from, 3 if self.mode == "forks" else 0)
         whole("ask_to", self.ask_to, self.ask_from)

@@ -1,34 +1,30 @@
 """The robots of the fleets of one process: planners, operators and predictors behind `Work`.
 
-A `Crew` is one fleet's robots (`fleet.Robots`); the `Computer` is what all crews of the process
-share: an engine, a planner and the predictors. It turns pending work of any crews into fixed-shape
-calls of L lanes, so that no robot's result depends on who shares its call (D8).
+A `Crew` is one fleet's robots (`fleet.Robots`). What they ask of the `Computer` that all crews of
+the process share goes through its `Queue`.
 """
 
 import dataclasses
+import functools
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.robots import IterationResult, Work, WorkKind
 from pgf_jax.fleet.simulator import Fleet
-from pgf_jax.guidance.operators import Operator, View
-from pgf_jax.guidance.predictor import Predictor, gain
-from pgf_jax.guidance.rows import history_features
+from pgf_jax.guidance import trials
+from pgf_jax.guidance.operators import AnyOperator, View, consult
 from pgf_jax.guidance.runs import RunLog
-from pgf_jax.physics.engine import Engine, World
-from pgf_jax.planning.config import Planner as PlannerConfig
-from pgf_jax.planning.planner import BatchPlanner, Search, start_world
+from pgf_jax.guidance.state import describe
+from pgf_jax.guidance.trials import Bidder, Deliberation
+from pgf_jax.physics.engine import World
+from pgf_jax.planning.planner import Search, start_world
 from pgf_jax.planning.types import Push
-from pgf_jax.scene.scene import Scene
-
-NOISE = 0  # purpose of a key; other draws of an iteration would take other numbers
+from pgf_jax.scene.scene import Scene, class_of
+from pgf_jax.study.computer import Computer, Queue
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,92 +56,6 @@ class Robot:
         return self.last_reach if self.last_reach is not None else self.search
 
 
-class Computer:
-    """Engine, planner and predictors of one process.
-
-    Args:
-      engine: rolls out L lanes of K rollouts at a time.
-      config: of the planner.
-      predictors: (phi_auto, phi_human); None: every gain is nan, and nobody bids one.
-    """
-
-    def __init__(
-        self,
-        engine: Engine,
-        config: PlannerConfig | None = None,
-        predictors: tuple[Predictor, Predictor] | None = None,
-    ) -> None:
-        self.engine, self.predictors = engine, predictors
-        self.planner = BatchPlanner(engine, config)
-        self.calls = 0  # iteration calls made
-        self.lanes_used = 0  # lanes in them that held work
-        self.saturated = 0  # rollouts in which contacts may have been dropped (no slot left)
-        self._keys = jax.jit(jax.vmap(_key))
-
-    def occupancy(self) -> tuple[int, int]:
-        """(work whose result was used, work computed) since this was last called.
-
-        In the units of an engine that leaves lanes out and counts what it does; else in lanes of
-        iteration calls.
-        """
-        own = getattr(self.engine, "occupancy", None)
-        used, computed = self.lanes_used, self.calls * self.engine.lanes
-        self.calls = self.lanes_used = 0
-        return (used, computed) if own is None else own()
-
-    def compute(self, batch: Sequence[tuple["Crew", Work]]) -> list[Any]:
-        """Results of pending work, in order: `IterationResult`, None (a retreat) or an input."""
-        results: list[Any] = [None] * len(batch)
-        by_kind = {kind: [] for kind in WorkKind}
-        for i, (crew, work) in enumerate(batch):
-            by_kind[work.kind].append((i, crew, work))
-        for i, crew, work in by_kind[WorkKind.INPUT]:
-            results[i] = crew.ask(work)
-        for part in _parts(by_kind[WorkKind.RETREAT], self.engine.lanes):
-            pushes = [crew.robots[work.robot].search for _, crew, work in part]
-            worlds = self.planner.retreat(pushes)
-            for (_, crew, work), world in zip(part, worlds, strict=True):
-                crew.pushed(work.robot, world)
-        for part in _parts(by_kind[WorkKind.ITERATION], self.engine.lanes):
-            done = self._iterate([(crew, work) for _, crew, work in part])
-            for (i, _, _), result in zip(part, done, strict=True):
-                results[i] = result
-        return results
-
-    def _iterate(self, part: Sequence[tuple["Crew", Work]]) -> list[IterationResult]:
-        self.calls += 1
-        self.lanes_used += len(part)
-        words = [(crew.seed, work.robot, work.task, work.iteration, NOISE) for crew, work in part]
-        words += [words[0]] * (self.engine.lanes - len(part))
-        keys = np.asarray(self._keys(np.array(words, np.uint32)))[: len(part)]
-        before = [crew.robots[work.robot].search for crew, work in part]
-        after = self.planner.step(before, list(keys))
-        gains = self._gains(after)
-        results = []
-        for (crew, work), old, new, g in zip(part, before, after, gains, strict=True):
-            c_d, c_f, c_b = (float(x) for x in new.value.terms[:3])
-            result = IterationResult(
-                feasible=self.planner.terminate(new),
-                stuck=self.planner.is_stuck(new),
-                gain=float(g),
-                terms=(c_d, c_f, c_b),
-                cost=float(new.value.total),
-                non_finite=bool(new.non_finite > old.non_finite),
-            )
-            self.saturated += int(new.saturated - old.saturated)
-            crew.iterated(work.robot, new, result)
-            results.append(result)
-        return results
-
-    def _gains(self, searches: Sequence[Search]) -> np.ndarray:
-        """[len] phi_auto - phi_human; nan while pushing, without history or without predictors."""
-        if self.predictors is None:
-            return np.full(len(searches), math.nan)
-        features = np.stack([history_features(self.engine.n_objects, s.history) for s in searches])
-        pushing = np.array([bool(s.task.pushing) for s in searches])
-        return np.where(pushing, math.nan, gain(*self.predictors, features))
-
-
 class Crew:
     """The robots of one fleet; satisfies `fleet.Robots`.
 
@@ -154,6 +64,7 @@ class Crew:
       scenes: (robot, task) -> scene.
       operator: gives the inputs.
       seed: of the noise.
+      predictor: of what robots bid; None: every gain is nan, and nobody bids one.
       on_task_end: called with (robot index, Robot) when a robot takes its next task, and by
         `finish` for the last ones.
     """
@@ -163,11 +74,13 @@ class Crew:
         computer: Computer,
         *,
         scenes: Callable[[int, int], Scene],
-        operator: Operator,
+        operator: AnyOperator,
         seed: int,
+        predictor: Bidder | None = None,
         on_task_end: Callable[[int, Robot], None] | None = None,
     ) -> None:
         self.computer, self.operator, self.seed = computer, operator, seed
+        self.predictor = predictor
         self.robots: dict[int, Robot] = {}
         self._scenes, self._on_task_end = scenes, on_task_end
 
@@ -183,7 +96,7 @@ class Crew:
                 f"scene {scene.name}: has {len(scene.objects)} objects, the engine simulates {n}"
             )
         world = start_world(scene.positions)
-        log = RunLog(scene=scene.name, seed=self.seed, scene_class=_class_of(scene), n_objects=n)
+        log = RunLog(scene=scene.name, seed=self.seed, scene_class=class_of(scene), n_objects=n)
         log.begin_segment("reach")
         search = self.computer.planner.begin_reach(world, scene.goal)
         self.robots[robot] = Robot(task, scene, search, [], log)
@@ -207,25 +120,50 @@ class Crew:
         r = self.robots[robot]
         r.search = self.computer.planner.go_on(r.search)
 
-    # -- results of work --------------------------------------------------------------------------
+    # -- work -------------------------------------------------------------------------------------
 
-    def iterated(self, robot: int, search: Search, result: IterationResult) -> None:
-        """Take an iteration's outcome."""
-        r = self.robots[robot]
-        r.search = search
+    def perform(self, work: Work) -> Deliberation:
+        """What a piece of work asks of the computer; returns the work's result."""
+        if work.kind is WorkKind.ITERATION:
+            return (yield from self._iterate(work))
+        if work.kind is WorkKind.INPUT:
+            return (yield from self._ask(work))
+        return (yield from self._retreat(work))
+
+    def _iterate(self, work: Work) -> Deliberation:
+        r, planner = self.robots[work.robot], self.computer.planner
+        words = trials.own_words(self.seed, work.robot, work.task, work.iteration)
+        before = r.search
+        (after,) = yield [trials.Step(before, words(0))]
+        gain = math.nan
+        if self.predictor is not None and not after.task.pushing:
+            (gain,) = yield [trials.Gain(self.predictor, describe(after))]
+        c_d, c_f, c_b = (float(x) for x in after.value.terms[:3])
+        result = IterationResult(
+            feasible=planner.terminate(after),
+            stuck=planner.is_stuck(after),
+            gain=gain,
+            terms=(c_d, c_f, c_b),
+            cost=float(after.value.total),
+            non_finite=bool(after.non_finite > before.non_finite),
+        )
+        r.search = after
         r.log.add(result.terms, feasible=result.feasible)
+        return result
 
-    def pushed(self, robot: int, world: World) -> None:
-        """The push planned last was executed; reaching restarts in `world`."""
-        self.robots[robot].executed.append(self.segment(self.robots[robot].search))
-        self.robots[robot].dropped = 0
-        self._reach_from(robot, world)
+    def _retreat(self, work: Work) -> Deliberation:
+        r = self.robots[work.robot]
+        (world,) = yield [trials.Retreat(r.search)]
+        r.executed.append(self.segment(r.search))
+        r.dropped = 0
+        self._reach_from(work.robot, world)
 
-    def ask(self, work: Work) -> Push | None:
-        """The operator's input."""
+    def _ask(self, work: Work) -> Deliberation:
         r = self.robots[work.robot]
         r.log.input_given()
-        return self.operator.decide(view(r.search, work.request or 0, r.dropped))
+        seen = View.of(r.search, work.request or 0, r.dropped)
+        at = (self.seed, work.robot, work.task, work.iteration)
+        return (yield from consult(self.operator, seen, r.search, self.computer.planner, at))
 
     def segment(self, search: Search) -> Segment:
         """The best of a search, as part of a plan."""
@@ -270,7 +208,7 @@ def drive(
     """
     waiting = iter(fleets)
     running: list[tuple[Fleet, Crew]] = []
-    queue: list[tuple[Fleet, Crew, Work]] = []
+    queue = Queue(computer)
     while True:
         going: list[tuple[Fleet, Crew]] = []
         source = itertools.chain(running, waiting)
@@ -279,54 +217,17 @@ def drive(
             if pair is None:
                 break
             fleet, crew = pair
-            pending = fleet.advance()
+            # An input may be there at once, and the fleet go on with it.
+            while pending := fleet.advance():
+                for work in pending:
+                    queue.add(crew.perform(work), functools.partial(fleet.deliver, work))
             if fleet.done:
                 crew.finish()
-                continue
-            going.append(pair)
-            queue += [(fleet, crew, work) for work in pending]
+            else:
+                going.append(pair)
         running = going
         if not running:
             return
-        iterations = [item for item in queue if item[2].kind is WorkKind.ITERATION]
-        batch = [item for item in queue if item[2].kind is not WorkKind.ITERATION]
-        batch += iterations[: computer.engine.lanes]
-        queue = iterations[computer.engine.lanes :]
-        results = computer.compute([(crew, work) for _, crew, work in batch])
-        for (fleet, _, work), result in zip(batch, results, strict=True):
-            fleet.deliver(work, result)
+        queue.round()
         if on_round is not None:
             on_round()
-
-
-def view(search: Search, request: int, dropped: int) -> View:
-    """What an operator sees of a search."""
-    return View(
-        objects=np.asarray(search.start.objects),
-        goal=int(search.task.goal),
-        hand=np.asarray(search.start.hand),
-        gripper=float(search.start.gripper),
-        path=np.asarray(search.best.objects),
-        hands=np.asarray(search.best.hand),
-        force=np.asarray(search.best.force),
-        bodies=np.asarray(search.best.bodies),
-        terms=np.asarray(search.value.terms),
-        request=request,
-        dropped=dropped,
-    )
-
-
-def _key(words: jax.Array) -> jax.Array:
-    key = jax.random.key(0)
-    for word in words:
-        key = jax.random.fold_in(key, word)
-    return jax.random.key_data(key).astype(jnp.uint32)
-
-
-def _class_of(scene: Scene) -> str:
-    head = scene.name.split("_")[0]
-    return head if head in ("tight", "medium", "wide") else "file"
-
-
-def _parts(items: Sequence, size: int) -> list:
-    return [items[i : i + size] for i in range(0, len(items), size)]

@@ -4,8 +4,6 @@ The fleet owns limits, asks and time, and `crew.drive` the loop, as in a sweep; 
 the same, only for robots that share nobody's operator.
 """
 
-import copy
-import functools
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, overload
@@ -14,15 +12,13 @@ import numpy as np
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Fleet, FleetConfig
-from pgf_jax.guidance.checkpoint import load_pair
+from pgf_jax.guidance.bidders import choice
 from pgf_jax.guidance.operators import make_operator
-from pgf_jax.guidance.predictor import Predictor
-from pgf_jax.physics.config import PHYSICS
-from pgf_jax.physics.engine import make_engine
-from pgf_jax.planning.config import Cost, Planner
+from pgf_jax.guidance.predictor import Bidder
 from pgf_jax.scene.scene import Scene
-from pgf_jax.study.checks import MAX_SEED, Planning
-from pgf_jax.study.crew import Computer, Crew, Robot, drive
+from pgf_jax.study.checks import MAX_SEED
+from pgf_jax.study.computer import Computer, planning_computer
+from pgf_jax.study.crew import Crew, Robot, drive
 from pgf_jax.study.plan_config import PlanConfig
 from pgf_jax.study.plan_file import TERMS, Plan
 
@@ -71,15 +67,14 @@ def plan_scenes(
       Their plans, in order.
     """
     scenes, config = list(scenes), config or PlanConfig()
-    pair = None
-    # A folder that is named is checked even where nothing will be asked: it was meant to be used.
-    if config.policy == "pgf" or config.predictor is not None:
-        pair = predictors(config)
+    bidder = None
+    # One that is named is checked even where nothing will be asked: it was meant to be used.
+    if config.policy == "pgf" or config.predictor != "paper":
+        bidder, _ = choice(config.predictor).load()
     plans: dict[int, Plan] = {}
     sizes = sorted({len(scene.objects) for scene, _ in scenes})
     for n_objects in sizes:  # an engine is compiled for one number of objects
         computer = planning_computer(config, n_objects)
-        computer.predictors = pair if config.policy == "pgf" else None
 
         def one(index: int, scene: Scene, seed: int, computer=computer) -> tuple[Fleet, Crew]:
             fleet, crew = single_robot(
@@ -88,6 +83,7 @@ def plan_scenes(
                 seed,
                 operator=config.operator,
                 policy=config.policy,
+                predictor=bidder if config.policy == "pgf" else None,
                 task_limit_s=config.task_limit,
                 service_s=(config.service_mean, config.service_sd),
                 on_end=lambda robot: done(index, seed, fleet, crew, robot),
@@ -115,6 +111,7 @@ def single_robot(
     *,
     operator: str,
     policy: str,
+    predictor: Bidder | None = None,
     task_limit_s: float,
     service_s: tuple[float, float],
     on_end: Callable[[Robot], None],
@@ -127,6 +124,7 @@ def single_robot(
       seed: of noise and service times.
       operator: who gives input.
       policy: when it is asked for.
+      predictor: of what it bids.
       task_limit_s: planning, waiting and interaction allowed, s.
       service_s: mean and standard deviation of the service time, s.
       on_end: called with the robot when the task has ended.
@@ -136,6 +134,7 @@ def single_robot(
         scenes=lambda robot, task: scene,
         operator=make_operator(operator),
         seed=seed,
+        predictor=predictor,
         on_task_end=lambda index, robot: on_end(robot),
     )
     config = FleetConfig(
@@ -149,29 +148,6 @@ def single_robot(
         service_sd_s=service_s[1],
     )
     return Fleet(config, crew), crew
-
-
-def planning_computer(config: Planning, n_objects: int) -> Computer:
-    """A computer for the engine, physics, cost, update and lanes of `config`.
-
-    What it compiles is kept: a second one of the same settings traces nothing again.
-    """
-    planner = Planner(update=config.update, cost=Cost(variant=config.cost))
-    kept = _computer(config.engine, config.physics, planner, config.lanes or 1, n_objects)
-    return copy.copy(kept)  # its own counters and predictors
-
-
-@functools.lru_cache(maxsize=8)
-def _computer(engine: str, physics: str, planner: Planner, lanes: int, n_objects: int) -> Computer:
-    return Computer(
-        make_engine(engine, physics=PHYSICS[physics], n_objects=n_objects, lanes=lanes), planner
-    )
-
-
-def predictors(config: PlanConfig) -> tuple[Predictor, Predictor]:
-    """(phi_auto, phi_human) from the folder of `config`, or the shipped ones."""
-    auto, human = load_pair(config.predictor)
-    return auto.predictor, human.predictor
 
 
 def seed_of(key: Any) -> int:

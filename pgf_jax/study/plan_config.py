@@ -27,7 +27,8 @@ class PlanConfig:
       ask: when input is asked for: stuck, gain (predicted, needs checkpoints), never, or after:N
         (N reach iterations after each restart or input). With operator none nothing is asked.
       lanes: L, robots computed in one call; results are bit-equal for equal L only.
-      predictor: folder of checkpoints for --ask gain; None: the shipped ones.
+      predictor: for --ask gain: paper or best, as shipped; or a folder of checkpoints, for the
+        paper's pair in it, or best:FOLDER.
       service_mean: mean of the log-normal service time, s; it counts towards the limit.
       service_sd: its standard deviation, s.
       task_limit: planning, waiting and interaction allowed, s of simulated time.
@@ -40,12 +41,13 @@ class PlanConfig:
     operator: str = "none"
     ask: str = "stuck"
     lanes: int = 1
-    predictor: Path | None = None
+    predictor: str = "paper"
     service_mean: float = 8.0
     service_sd: float = 4.0
     task_limit: float = 180.0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "predictor", str(self.predictor))  # a folder may be a Path
         check_planning(self)
         check_operator(self.operator)
         check_ask(self.ask)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance.runs import write_atomically
+from pgf_jax.guidance.tables import write_atomically
 from pgf_jax.planning.types import Status
 from pgf_jax.scene.scene import Scene
 from pgf_jax.study.crew import Segment

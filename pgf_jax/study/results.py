@@ -21,7 +21,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.fleet.metrics import CellSummary, Interval, paired_difference
 from pgf_jax.fleet.records import TaskRecord
-from pgf_jax.guidance.runs import write_atomically
+from pgf_jax.guidance.tables import write_atomically
 from pgf_jax.planning.types import Status
 from pgf_jax.study.sweep_config import Cell
 

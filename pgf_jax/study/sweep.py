@@ -12,13 +12,13 @@ from rich.console import Console
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.metrics import CellSummary, summarise
-from pgf_jax.guidance.runs import write_atomically
+from pgf_jax.guidance.tables import write_atomically
 from pgf_jax.study import results
 from pgf_jax.study.figures import figure6, png
 from pgf_jax.study.manifest import manifest
 from pgf_jax.study.sweep_config import Cell, SweepConfig
 from pgf_jax.study.sweep_report import Report, summary_tables
-from pgf_jax.study.sweep_run import Effort, run_cells, run_in_processes
+from pgf_jax.study.sweep_run import Effort, run_cells, run_cells_in_processes
 from pgf_jax.study.sweep_setup import Setup, identity, prepare
 
 MANIFEST = "manifest.json"
@@ -100,7 +100,7 @@ def _compute(setup: Setup, cells: list[Cell], report: Report) -> list[Effort]:
     processes = min(setup.config.processes(), len(cells))
     if processes == 1:
         return [run_cells(setup, cells, report)]
-    return run_in_processes(setup, cells, processes, report)
+    return run_cells_in_processes(setup, cells, processes, report)
 
 
 def _conclude(setup: Setup, kept: set[Cell], efforts: list[Effort], start: float) -> SweepResult:

@@ -32,7 +32,6 @@ GAINLESS = frozenset({"autonomous", "or-hitl", "or-hitl-window", "queue", "alway
 # These are in the fleet's registry but need a number that a sweep's robots do not compute.
 _NO_NUMBER = {
     "oracle-gain": "the true gain, which takes planning every robot's future twice",
-    "classifier": "a predicted probability of failure, and the predictors here predict costs",
 }
 
 
@@ -106,7 +105,8 @@ class SweepConfig:
       window: T_window of Alg. 2, how long bids are collected, s.
       rollout_time: simulated time of one rollout, s; an iteration takes two.
       compute: dedicated (every robot has a computer), or shared:C (all share one of C cores).
-      predictor: folder of phi_auto.msgpack and phi_human.msgpack; None: the shipped ones.
+      predictor: what pgf bids by: paper or best, as shipped; or a folder of checkpoints, for the
+        paper's pair in it, or best:FOLDER.
       horizon: simulated time at which every fleet is stopped, s; None: when its tasks are done.
       workers: processes that share the cells, each on cores of its own; results do not depend on
         it. None: one a core for planar, whose calls use one; else one.
@@ -139,7 +139,7 @@ class SweepConfig:
     window: float = 2.0
     rollout_time: float = 1.5
     compute: str = "dedicated"
-    predictor: Path | None = None
+    predictor: str = "paper"
     horizon: float | None = None
     workers: int | None = None
     lanes: int | None = None
@@ -183,7 +183,8 @@ class SweepConfig:
             self.fleet(cell)
 
     def _take_paths_and_lists(self) -> None:
-        for name in ("scenes", "predictor", "out"):
+        object.__setattr__(self, "predictor", str(self.predictor))  # a folder may be a Path
+        for name in ("scenes", "out"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, Path(getattr(self, name)))
         for name in ("robots", "policies"):

@@ -5,19 +5,19 @@ import hashlib
 import importlib.metadata
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
 from pgf_jax.errors import BadInput
-from pgf_jax.fleet.service import stream
-from pgf_jax.guidance.checkpoint import NETWORKS, checkpoint_name, load_pair, shipped_checkpoints
-from pgf_jax.guidance.predictor import Predictor
+from pgf_jax.guidance.bidders import NETWORKS, Choice, choice
+from pgf_jax.guidance.checkpoint import PAIR, checkpoint_name, shipped_checkpoints
+from pgf_jax.guidance.predictor import Bidder
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.scene import Scene, load_scenes, sample_scene
 from pgf_jax.scene.sampling import OBJECTS
+from pgf_jax.streams import stream
 from pgf_jax.study.checks import check_operator
 from pgf_jax.study.results import sha256
 from pgf_jax.study.sweep_config import Cell, SweepConfig
@@ -35,16 +35,27 @@ class Setup:
     Attributes:
       config: the sweep's.
       files: the scenes of its folder, or None where scenes are sampled.
-      predictors: (phi_auto, phi_human), or None where there are none and none are needed.
+      bidder: the predictor, or None where there is none and none is needed.
+      classifier: what the policy `classifier` bids by; None where it is not run.
       predictor_files: per network: digest of its file, and what it was trained on.
       n_objects: N of every scene.
     """
 
     config: SweepConfig
     files: tuple[Scene, ...] | None
-    predictors: tuple[Predictor, Predictor] | None
-    predictor_files: Mapping[str, Mapping[str, Any]] | None
+    bidder: Bidder | None
+    classifier: Bidder | None
+    predictor_files: Mapping[str, Mapping[str, Any]]
     n_objects: int
+
+    def bidder_of(self, cell: Cell) -> Bidder | None:
+        """Where the numbers come from that a cell's robots may bid; they are logged in any case."""
+        return self.classifier if cell.policy == "classifier" else self.bidder
+
+    def networks_of(self, cell: Cell) -> list[str]:
+        """The networks in it."""
+        classify = cell.policy == "classifier"
+        return [n for n in self.predictor_files if (n in NETWORKS["classifier"]) == classify]
 
     def scene(self, robot: int, task: int) -> Scene:
         """The scene of a task: of (seed, robot, task), whatever the policy and the fleet's size."""
@@ -75,8 +86,16 @@ def prepare(config: SweepConfig) -> Setup:
                     f"{config.scenes}: {scene.name} has {len(scene.objects)} objects, expected "
                     f"{n_objects} as in {files[0].name}"
                 )
-    predictors, predictor_files = _load_predictors(config)
-    return Setup(config, files, predictors, predictor_files, n_objects)
+    chosen = choice(config.predictor)
+    bidder, described = None, {}
+    # Loaded for every policy: gains are logged under all of them alike.
+    if config.predictor != "paper" or config.needs_gains() or _shipped():
+        bidder, described = _load(chosen)
+    classifier = None
+    if "classifier" in {cell.policy for cell in config.cells()}:
+        classifier, more = _load(Choice("classifier", chosen.folder))
+        described |= more
+    return Setup(config, files, bidder, classifier, described, n_objects)
 
 
 def task_scene(
@@ -107,27 +126,18 @@ def _sampled_name(config: SweepConfig, robot: int, task: int) -> str:
     return f"{config.sampled_class()}_{config.seed}_{robot}_{task}"
 
 
-def _load_predictors(
-    config: SweepConfig,
-) -> tuple[tuple[Predictor, Predictor] | None, dict[str, dict[str, Any]] | None]:
-    """The predictors, loaded for every policy: gains are logged under all of them alike."""
-    if config.predictor is None and not config.needs_gains() and not _shipped():
-        return None, None
-    pair = load_pair(config.predictor)
-    folder = shipped_checkpoints() if config.predictor is None else Path(config.predictor)
-    described = {
+def _load(chosen: Choice) -> tuple[Bidder, dict[str, dict[str, Any]]]:
+    bidder, checkpoints = chosen.load()
+    return bidder, {
         checkpoint.network: {
-            "sha256": sha256((folder / checkpoint_name(checkpoint.network)).read_bytes()),
+            "sha256": sha256((chosen.files() / checkpoint_name(checkpoint.network)).read_bytes()),
             "data_sha256": checkpoint.data_sha256,
             "scenes": checkpoint.scenes,
             "rows": checkpoint.rows,
             "figures": dict(checkpoint.figures),
         }
-        for checkpoint in pair
+        for checkpoint in checkpoints
     }
-    # NumPy leaves: arrays of JAX would start its backend wherever they are unpickled.
-    auto, human = (jax.tree.map(np.asarray, checkpoint.predictor) for checkpoint in pair)
-    return (auto, human), described
 
 
 def _shipped() -> bool:
@@ -135,7 +145,7 @@ def _shipped() -> bool:
         folder = shipped_checkpoints()
     except BadInput:
         return False
-    return any((folder / checkpoint_name(network)).is_file() for network in NETWORKS)
+    return any((folder / checkpoint_name(network)).is_file() for network in PAIR)
 
 
 def identity(setup: Setup, cell: Cell) -> dict[str, Any]:
@@ -151,8 +161,7 @@ def identity(setup: Setup, cell: Cell) -> dict[str, Any]:
         "scene_class": config.sampled_class(),
         "scenes": None if files is None else scenes_digest(files),
         "operator": config.operator,
-        "predictors": setup.predictor_files
-        and {network: about["sha256"] for network, about in setup.predictor_files.items()},
+        "predictors": {n: setup.predictor_files[n]["sha256"] for n in setup.networks_of(cell)},
         "versions": {name: importlib.metadata.version(name) for name in _DECISIVE},
         "device": f"{jax.default_backend()}: {jax.devices()[0].device_kind}",
     }

@@ -23,8 +23,9 @@ from pgf_jax.fleet.metrics import (
     window_sizes,
 )
 from pgf_jax.fleet.policies import Discipline, Silent, check_policy, register_policy
-from pgf_jax.fleet.service import LogNormal, stream
+from pgf_jax.fleet.service import LogNormal
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
+from pgf_jax.streams import stream
 
 # --- configuration ------------------------------------------------------------------------------
 

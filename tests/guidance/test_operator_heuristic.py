@@ -6,11 +6,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance.heuristic import WALL_PATIENCE, WALL_ROOM, HeuristicOperator, _culprits
-from pgf_jax.guidance.operators import View, make_operator, operator_names, register_operator
+from pgf_jax.guidance.geometry import culprits
+from pgf_jax.guidance.heuristic import HeuristicOperator
+from pgf_jax.guidance.operators import (
+    NoOperator,
+    View,
+    make_operator,
+    operator_names,
+    register_operator,
+)
 from pgf_jax.planning.types import Push
 from pgf_jax.scene import sample_scene
-from pgf_jax.scene.scene import SIDE_WALL_Y
 
 KNOTS, SLOTS = 8, 4
 
@@ -37,15 +43,9 @@ def shelf(objects, goal=0, *, dropped=0, request=0, force=(), rolled_out=True) -
 
 
 def decide(view: View) -> Push:
-    push = HeuristicOperator().decide(view)
-    assert push is not None
+    """What it would try first, by geometry alone."""
+    (push,) = HeuristicOperator().ranked(view, 1)
     return push
-
-
-def request_answered(scene) -> int:
-    """The first request that is answered with a push."""
-    room = SIDE_WALL_Y - abs(scene.positions[scene.goal, 1])
-    return WALL_PATIENCE if room < WALL_ROOM else 0
 
 
 def test_the_blocker_at_the_front_is_pushed_into_the_shelf():
@@ -62,39 +62,27 @@ def test_an_object_behind_another_is_left_to_the_one_in_front():
     assert decide(shelf(row)).object == 1
 
 
-def test_every_second_time_the_robot_tries_for_itself():
-    objects = [(0.50, -0.01), (0.34, -0.01)]
-    given = [HeuristicOperator().decide(shelf(objects, request=n)) for n in range(4)]
-    assert [push is None for push in given] == [False, True, False, True]
-
-
-def test_at_a_side_wall_the_robot_tries_for_longer():
-    """Going on solves as many of these as a push does; only then is one tried."""
-    near, clear = SIDE_WALL_Y - WALL_ROOM + 0.01, SIDE_WALL_Y - WALL_ROOM - 0.01
-    given = [
-        [
-            HeuristicOperator().decide(shelf([(0.50, side * y), (0.34, side * y)], request=n))
-            for n in range(WALL_PATIENCE + 3)
-        ]
-        for y in (near, clear)
-        for side in (1, -1)
-    ]
-    pushes = [[push is not None for push in of_goal] for of_goal in given]
-    at_wall = [False] * WALL_PATIENCE + [True, False, True]
-    assert pushes == [at_wall] * 2 + [[True, False] * 3] * 2
-
-
 def test_there_may_be_nothing_to_push():
-    assert HeuristicOperator().decide(shelf([(0.50, -0.01)])) is None
+    assert HeuristicOperator().ranked(shelf([(0.50, -0.01)]), 5) == []
 
 
-def test_a_dropped_push_is_not_offered_again():
-    objects = [(0.50, -0.01), (0.36, -0.01), (0.50, 0.25), (0.44, 0.05)]
-    offers = [decide(shelf(objects, dropped=n)) for n in range(4)]
+def test_no_two_choices_are_alike():
+    """A push that could not be planned says that its like cannot either."""
+    view = shelf([(0.50, -0.01), (0.36, -0.01), (0.50, 0.25), (0.44, 0.05)])
+    offers = HeuristicOperator().ranked(view, 12)
+    assert len(offers) == 12 and {push.object for push in offers} == {1, 3}
     for i, one in enumerate(offers):
         for other in offers[:i]:
             far = np.hypot(one.x - other.x, one.y - other.y) >= 0.08
             assert one.object != other.object or far
+
+
+def test_the_best_few_are_the_first_of_more():
+    view = shelf([(0.50, -0.01), (0.36, -0.01), (0.50, 0.25), (0.44, 0.05)])
+    ranked = HeuristicOperator().ranked
+    assert ranked(view, 3) == ranked(view, 12)[:3]
+    most = ranked(view, 10**6)
+    assert 12 < len(most) < 3 * 16 * 4
 
 
 def test_culprits_are_in_the_hand_or_pressed_or_jammed():
@@ -103,19 +91,19 @@ def test_culprits_are_in_the_hand_or_pressed_or_jammed():
     objects = [(0.50, 0.0), (0.22, 0.0), (0.30, 0.0), (0.10, 0.09), (0.4, 0.37), (0.3, -0.37)]
     hand, wall = len(objects), len(objects) + 1
     force = [(20, 2, hand), (20, hand, 3), (30, wall, 4), (3, wall, 5)]
-    assert _culprits(shelf(objects, force=force)).tolist() == [0, 1, 1, 0, 1, 0]
+    assert culprits(shelf(objects, force=force)).tolist() == [0, 1, 1, 0, 1, 0]
 
 
 def test_nothing_is_a_culprit_before_the_first_rollout():
     view = shelf([(0.5, 0.0), (0.22, 0.0)], rolled_out=False)
-    assert not _culprits(view).any()
+    assert not culprits(view).any()
 
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**31), preset=st.sampled_from(["tight", "medium", "wide"]))
 def test_any_push_stays_on_the_shelf_and_leaves_the_goal_alone(seed, preset):
     scene = sample_scene(seed, preset)
-    view = shelf(scene.positions, scene.goal, request=request_answered(scene))
+    view = shelf(scene.positions, scene.goal)
     push = decide(view)
     assert push == decide(view)
     assert push.object != scene.goal
@@ -124,12 +112,14 @@ def test_any_push_stays_on_the_shelf_and_leaves_the_goal_alone(seed, preset):
 
 
 def test_registry():
-    assert {"none", "heuristic"} <= set(operator_names())
-    assert make_operator("none").decide(shelf([(0.5, 0.0), (0.36, 0.0)])) is None
+    assert {"none", "heuristic", "oracle", "clairvoyant"} <= set(operator_names())
+    for name in ("none", "heuristic", "oracle", "clairvoyant"):
+        assert make_operator(name).name == name
+    assert NoOperator().decide(shelf([(0.5, 0.0), (0.36, 0.0)])) is None
     with pytest.raises(BadInput, match=r"unknown operator 'nobody': expected one of .*heuristic"):
         make_operator("nobody")
-    register_operator("always-first", lambda: _First())
-    assert make_operator("always-first").decide(shelf([(0.5, 0.0)])) == Push(0, 0.4, 0.0)
+    register_operator("always-first", _First)
+    assert isinstance(make_operator("always-first"), _First)
 
 
 class _First:

@@ -13,20 +13,26 @@ from hypothesis import strategies as st
 
 from pgf_jax.errors import BadInput
 from pgf_jax.guidance import checkpoint as ckpt
-from pgf_jax.guidance.checkpoint import Checkpoint, load, load_pair, save
-from pgf_jax.guidance.predictor import init
+from pgf_jax.guidance.checkpoint import NETWORKS, PAIR, Checkpoint, load, load_network, save
+from pgf_jax.guidance.predictor import FEATURES, combine, init
+from pgf_jax.guidance.state import STATE
 
 
-def example(network="phi_auto", seed=0, hidden=(64, 32, 8)):
+def example(network="phi_auto", seed=0, hidden=(64, 32, 8), *, names=FEATURES, members=1):
     rng = np.random.default_rng(seed)
-    x = np.c_[np.full(40, 20.0), rng.gamma(1.0, 400.0, (40, 9))]
+    x = np.c_[np.full(40, 20.0), rng.gamma(1.0, 400.0, (40, len(names) - 1))]
+    each = [
+        init(jax.random.key(seed + 100 * m), x, x[:, -1], hidden=hidden, names=names)
+        for m in range(members)
+    ]
     return Checkpoint(
         network=network,
-        predictor=init(jax.random.key(seed), x, x[:, 9], hidden=hidden),
+        predictor=combine(each),
         data_sha256="ab" * 32,
         scenes=10,
         rows=40,
-        figures={"rmse_train": 57.0625, "rmse_val": 58.56},
+        config={"loss": "rmse", "members": str(members)},
+        figures={"loss_train": 57.0625, "loss_val": 58.56},
     )
 
 
@@ -44,24 +50,34 @@ def assert_bad(path, match):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("hidden", [(64, 32, 8), (64, 32, 16)])
-def test_round_trip_is_exact(tmp_path, hidden):
-    path = tmp_path / "deep" / "phi_human.msgpack"
-    saved = example("phi_human", 3, hidden)
+@pytest.mark.parametrize(
+    ("network", "hidden", "names", "members"),
+    [
+        ("phi_auto", (64, 32, 8), FEATURES, 1),
+        ("phi_human", (64, 32, 16), FEATURES, 3),
+        ("gain", (24,), STATE, 5),
+        ("gain", (8, 8), ("turn", "distance"), 1),
+        ("failure", (64, 32, 8), STATE[3:9], 2),
+    ],
+)
+def test_round_trip_is_exact(tmp_path, network, hidden, names, members):
+    path = tmp_path / "deep" / f"{network}.msgpack"
+    saved = example(network, 3, hidden, names=names, members=members)
     save(path, saved)
     loaded = load(path)
     a, b = saved.predictor, loaded.predictor
     assert jax.tree.structure(a) == jax.tree.structure(b)
     for old, new in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
         assert np.asarray(old).tobytes() == np.asarray(new).tobytes()
-    x = np.random.default_rng(0).gamma(1.0, 400.0, (5, 10))
+    x = np.random.default_rng(0).gamma(1.0, 400.0, (5, len(names)))
     assert a.predict(x).tobytes() == b.predict(x).tobytes()
-    for field in ("network", "data_sha256", "scenes", "rows", "figures"):
+    for field in ("network", "data_sha256", "scenes", "rows", "config", "figures"):
         assert getattr(loaded, field) == getattr(saved, field)
-    assert loaded.predictor.hidden == hidden
+    assert (loaded.predictor.hidden, loaded.predictor.features) == (hidden, names)
+    assert loaded.predictor.params["Dense_0"]["bias"].shape == (members, hidden[0])
     save(tmp_path / "again.msgpack", loaded)
     assert (tmp_path / "again.msgpack").read_bytes() == path.read_bytes()
-    assert [p.name for p in path.parent.iterdir()] == ["phi_human.msgpack"]
+    assert [p.name for p in path.parent.iterdir()] == [f"{network}.msgpack"]
 
 
 def test_missing(tmp_path):
@@ -118,7 +134,7 @@ def tampered(path, whole, change):
     change(content)
     payload = serialization.msgpack_serialize(content)
     digest = hashlib.sha256(payload).hexdigest()
-    outer = {"version": 1, "sha256": digest, "payload": payload}
+    outer = {"version": ckpt.VERSION, "sha256": digest, "payload": payload}
     path.write_bytes(serialization.msgpack_serialize(outer))
 
 
@@ -146,34 +162,50 @@ def remove(*where):
     ("change", "message"),
     [
         (
-            put("params", "Dense_1", "kernel", np.zeros((64, 31), np.float32)),
-            r"Dense_1 kernel has shape \(64, 31\), expected \(64, 32\)",
+            put("params", "Dense_1", "kernel", np.zeros((1, 64, 31), np.float32)),
+            r"Dense_1 kernel has shape \(1, 64, 31\), expected \(1, 64, 32\)",
         ),
         (
-            put("params", "Dense_3", "bias", np.zeros((1, 1), np.float32)),
-            r"Dense_3 bias has shape \(1, 1\), expected \(1,\)",
+            put("params", "Dense_3", "bias", np.zeros(1, np.float32)),
+            r"Dense_3 bias has shape \(1,\), expected \(1, 1\)",
         ),
         (put("mean", np.zeros(9, np.float32)), r"mean has shape \(9,\), expected \(10,\)"),
         (put("mean", np.zeros(10)), "mean must be a float32 array, got float64"),
         (put("scale", np.zeros(10, np.float32)), "scale must be positive, got 0"),
         (put("scale", 1, np.float32(np.inf)), "scale holds a number that is not finite"),
-        (put("params", "Dense_0", "kernel", 2, np.float32(np.nan)), "Dense_0 kernel holds a"),
+        (put("params", "Dense_0", "kernel", 0, 2, np.float32(np.nan)), "Dense_0 kernel holds a"),
         (put("params", "Dense_2", "bias", [0.0] * 8), "Dense_2 bias must be a float32 array"),
         (put("params", "Dense_2", [1]), "Dense_2 must hold a kernel and a bias"),
         (remove("params", "Dense_2", "bias"), "Dense_2 must hold a kernel and a bias"),
         (remove("params", "Dense_3"), "layers are"),
         (put("params", "Dense_4", {}), "layers are"),
-        (put("hidden", [64, 32, 16]), r"Dense_2 kernel has shape \(32, 8\), expected \(32, 16\)"),
+        (
+            put("hidden", [64, 32, 16]),
+            r"Dense_2 kernel has shape \(1, 32, 8\), expected \(1, 32, 16\)",
+        ),
         (put("hidden", [64, -32, 8]), "hidden must be a list of one or more positive widths"),
         (put("hidden", []), "hidden must be a list of one or more positive widths"),
-        (put("features", ["n_objects"]), "the features are others than"),
-        (put("features", [np.zeros(2, np.float32)] * 10), "the features are others than"),
-        (put("figures", "rmse_val", np.zeros(2)), "figure 'rmse_val' must be a finite number"),
+        (
+            put("features", ["n_objects"]),
+            r"Dense_0 kernel has shape \(1, 10, 64\), expected \(1, 1,",
+        ),
+        (put("features", []), "features are not all among n_objects, "),
+        (put("features", [*FEATURES[:9], "colour"]), "features are not all among n_objects, "),
+        (put("features", [np.zeros(2, np.float32)] * 10), "features are not all among"),
+        (put("features", [*FEATURES[:9], FEATURES[0]]), "features are named twice"),
+        (put("members", 2), r"Dense_0 kernel has shape \(1, 10, 64\), expected \(2, 10, 64\)"),
+        (put("members", 0), "members must be 1 or more, got 0"),
+        (put("config", {"loss": 1}), "config must be texts by name"),
+        (put("config", {1: "rmse"}), None),
+        (put("figures", "loss_val", np.zeros(2)), "figure 'loss_val' must be a finite number"),
         (put("hidden", [np.zeros(2)]), "hidden must be a list of one or more positive widths"),
-        (put("network", "phi_best"), "network is 'phi_best', expected phi_auto or phi_human"),
-        (put("rows", -1), "rows must not be negative, got -1"),
-        (put("figures", "rmse_val", float("nan")), "figure 'rmse_val' must be a finite number"),
-        (put("figures", "rmse_val", "good"), "figure 'rmse_val' must be a finite number"),
+        (
+            put("network", "phi_best"),
+            "network is 'phi_best', expected phi_auto or phi_human or gain",
+        ),
+        (put("rows", -1), "rows must be 0 or more, got -1"),
+        (put("figures", "loss_val", float("nan")), "figure 'loss_val' must be a finite number"),
+        (put("figures", "loss_val", "good"), "figure 'loss_val' must be a finite number"),
         *((remove(field), f"field {field} must be a .*, got nothing") for field in ckpt._FIELDS),
         *((put(field, None), f"field {field} must be a") for field in ckpt._FIELDS),
     ],
@@ -193,14 +225,14 @@ def test_untampered_content_loads(tmp_path, whole):
 @pytest.mark.parametrize(
     ("outer", "message"),
     [
-        ({"version": 2, "sha256": "", "payload": b""}, "checkpoint version 2, expected 1"),
-        ({"version": "1", "sha256": "", "payload": b""}, "no version number"),
+        ({"version": 1, "sha256": "", "payload": b""}, "checkpoint version 1, expected 2"),
+        ({"version": "2", "sha256": "", "payload": b""}, "no version number"),
         ({"sha256": "", "payload": b""}, "no version"),
-        ({"version": 1, "sha256": ""}, "no payload"),
-        ({"version": 1, "sha256": "", "payload": b"x"}, "corrupt checkpoint"),
-        ({"version": 1, "payload": b"x"}, "no payload with a digest"),
+        ({"version": 2, "sha256": ""}, "no payload"),
+        ({"version": 2, "sha256": "", "payload": b"x"}, "corrupt checkpoint"),
+        ({"version": 2, "payload": b"x"}, "no payload with a digest"),
         ({"version": np.zeros(2)}, "no version number"),
-        ({"version": 1, "sha256": np.zeros(2), "payload": b"x"}, "no payload with a digest"),
+        ({"version": 2, "sha256": np.zeros(2), "payload": b"x"}, "no payload with a digest"),
         ([1], "expected a mapping"),
     ],
 )
@@ -215,8 +247,8 @@ def test_what_would_not_load_is_not_saved(tmp_path):
     good = example()
     save(path, good)
     before = path.read_bytes()
-    bad = dataclasses.replace(good, figures={"rmse_val": float("nan")})
-    with pytest.raises(BadInput, match="figure 'rmse_val'"):
+    bad = dataclasses.replace(good, figures={"loss_val": float("nan")})
+    with pytest.raises(BadInput, match="figure 'loss_val'"):
         save(path, bad)
     nan = dataclasses.replace(good.predictor, mean=good.predictor.mean * np.float32(np.nan))
     with pytest.raises(BadInput, match="mean holds a number that is not finite"):
@@ -230,18 +262,16 @@ def save_pair(folder, seed=0):
     save(folder / "phi_human.msgpack", example("phi_human", seed + 1))
 
 
-def test_load_pair(tmp_path):
-    save_pair(tmp_path)
-    auto, human = load_pair(tmp_path)
-    assert (auto.network, human.network) == ("phi_auto", "phi_human")
-    (tmp_path / "phi_human.msgpack").write_bytes((tmp_path / "phi_auto.msgpack").read_bytes())
-    with pytest.raises(BadInput, match=r"phi_human\.msgpack: holds phi_auto, expected phi_human"):
-        load_pair(tmp_path)
-    (tmp_path / "phi_human.msgpack").unlink()
-    with pytest.raises(BadInput, match=r"phi_human\.msgpack: no such file"):
-        load_pair(str(tmp_path))
-    with pytest.raises(BadInput, match="nowhere: no such folder, expected one with phi_auto"):
-        load_pair(tmp_path / "nowhere")
+def test_a_network_is_found_by_its_name(tmp_path):
+    for network in NETWORKS:
+        save(tmp_path / f"{network}.msgpack", example(network))
+    assert [load_network(tmp_path, network).network for network in NETWORKS] == [*NETWORKS]
+    (tmp_path / "gain.msgpack").write_bytes((tmp_path / "failure.msgpack").read_bytes())
+    with pytest.raises(BadInput, match=r"gain\.msgpack: holds failure, expected gain"):
+        load_network(tmp_path, "gain")
+    (tmp_path / "gain.msgpack").unlink()
+    with pytest.raises(BadInput, match=r"gain\.msgpack: no such file"):
+        load_network(tmp_path, "gain")
 
 
 @pytest.mark.parametrize("installed", [True, False])
@@ -251,20 +281,20 @@ def test_shipped_pair(tmp_path, monkeypatch, installed):
     package.mkdir()
     monkeypatch.setattr(ckpt.resources, "files", lambda name: tmp_path / name)
     with pytest.raises(BadInput, match="no shipped checkpoints"):
-        load_pair()
+        ckpt.shipped_checkpoints()
     save_pair(tmp_path / "checkpoints", seed=5)  # someone else's, unless this is a source tree
     if installed:
         save_pair(package / "checkpoints", seed=7)
         expected = example("phi_auto", 7)
     else:
         with pytest.raises(BadInput, match="no shipped checkpoints"):
-            load_pair()
+            ckpt.shipped_checkpoints()
         (tmp_path / "pyproject.toml").touch()
         expected = example("phi_auto", 5)
-    auto, _ = load_pair(None)
+    auto = load_network(ckpt.shipped_checkpoints(), "phi_auto")
     np.testing.assert_array_equal(auto.predictor.mean, expected.predictor.mean)
 
 
-def test_shipped_pair_of_this_checkout_loads():
-    auto, human = load_pair()
-    assert min(auto.rows, human.rows) > 0
+@pytest.mark.parametrize("network", PAIR)
+def test_shipped_pair_of_this_checkout_loads(network):
+    assert load_network(ckpt.shipped_checkpoints(), network).rows > 0

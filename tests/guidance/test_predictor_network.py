@@ -11,13 +11,16 @@ from hypothesis import strategies as st
 
 from pgf_jax.guidance.predictor import (
     LANES,
+    Failure,
+    Pair,
     Predictor,
+    combine,
     forward,
-    gain,
-    history_features,
     init,
     normalisation,
 )
+from pgf_jax.guidance.rows import history_features
+from pgf_jax.guidance.state import STATE
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -31,16 +34,21 @@ def sample(rows, seed=0):
     return np.c_[np.full(rows, 20.0), rng.gamma(1.0, 400.0, (rows, 9))]
 
 
+def states(features):
+    """States whose first ten columns are the paper's features; nobody reads the others."""
+    return np.c_[features, np.full((len(features), len(STATE) - 10), np.nan)]
+
+
 def random_predictor(seed=0, hidden=(64, 32, 8)):
     x = sample(50, seed)
     return init(jax.random.key(seed), x, x[:, 1] + x[:, 9], hidden=hidden)
 
 
-def numpy_forward(predictor, features):
+def numpy_forward(predictor, features, member=0):
     x = (features - np.asarray(predictor.mean, np.float64)) / np.asarray(predictor.scale)
     for i in range(len(predictor.hidden) + 1):
         layer = predictor.params[f"Dense_{i}"]
-        x = x @ np.asarray(layer["kernel"], np.float64) + np.asarray(layer["bias"])
+        x = x @ np.asarray(layer["kernel"][member], np.float64) + np.asarray(layer["bias"][member])
         x = np.maximum(x, 0) if i < len(predictor.hidden) else x
     return x[:, 0]
 
@@ -49,7 +57,7 @@ def constant(value):
     """A predictor that says `value` whatever it is shown."""
     predictor = random_predictor()
     params = {**jax.tree.map(jnp.zeros_like, predictor.params)}
-    params["Dense_3"]["bias"] = jnp.array([value], jnp.float32)
+    params["Dense_3"]["bias"] = jnp.array([[value]], jnp.float32)
     return dataclasses.replace(predictor, params=params)
 
 
@@ -57,7 +65,7 @@ def constant(value):
 def test_forward_is_the_mlp_of_the_paper(hidden):
     predictor = random_predictor(1, hidden)
     shapes = [predictor.params[f"Dense_{i}"]["kernel"].shape for i in range(len(hidden) + 1)]
-    assert shapes == list(zip((10, *hidden), (*hidden, 1), strict=True))
+    assert shapes == [(1, a, b) for a, b in zip((10, *hidden), (*hidden, 1), strict=True)]
     x = sample(77, seed=5)
     expected = numpy_forward(predictor, x)
     np.testing.assert_allclose(predictor.predict(x), expected, rtol=1e-5, atol=1e-2)
@@ -80,9 +88,9 @@ def test_normalisation_by_hand():
 def test_untrained_predictor_has_the_mean_and_the_scale_of_its_target():
     x = sample(400)
     low = init(jax.random.key(0), x, np.full(400, 500.0))
-    assert float(low.params["Dense_3"]["bias"][0]) == 500
+    assert float(low.params["Dense_3"]["bias"][0, 0]) == 500
     high = init(jax.random.key(0), x, np.array([300.0, 700.0] * 200))
-    assert float(high.params["Dense_3"]["bias"][0]) == 500
+    assert float(high.params["Dense_3"]["bias"][0, 0]) == 500
     ratio = high.params["Dense_3"]["kernel"] / low.params["Dense_3"]["kernel"]
     np.testing.assert_allclose(ratio, 200, rtol=1e-6)
 
@@ -100,8 +108,8 @@ def test_predictor_is_a_pytree():
     [(300, 120, 180), (100, 250, -150), (-40, 30, -30), (70, -5, 70), (-1, -2, 0)],
 )
 def test_gain_clips_each_at_zero(auto, human, expected):
-    x = sample(3)
-    assert gain(constant(auto), constant(human), x).tolist() == [expected] * 3
+    x = states(sample(3))
+    assert Pair(constant(auto), constant(human)).gain(x).tolist() == [expected] * 3
 
 
 def test_predictions_are_not_clipped_but_gains_are():
@@ -118,7 +126,7 @@ def test_no_prediction_without_a_history_or_with_a_broken_one():
             history_features(20, [(np.inf, 0.0, 0.0), *full]),
         ]
     )
-    value = gain(random_predictor(1), random_predictor(2), x)
+    value = Pair(random_predictor(1), random_predictor(2)).gain(states(x))
     assert np.isnan(value).tolist() == [False, True, True, False]
     assert value[0] == value[3]
 
@@ -135,15 +143,75 @@ def test_empty_and_malformed_batches():
 @given(st.integers(1, 2 * LANES + 3), st.integers(0, 2**32 - 1))
 def test_a_prediction_depends_on_its_own_row_alone(size, seed):
     """Bit for bit: any batch size, any order, any content of the other rows, nan included."""
-    auto, human = random_predictor(3), random_predictor(4)
+    pair = Pair(random_predictor(3), combine([random_predictor(4), random_predictor(5)]))
     rng = np.random.default_rng(seed)
-    x = sample(size, seed)
-    together = gain(auto, human, x)
+    x = states(sample(size, seed))
+    together = pair.gain(x)
     order = rng.permutation(size)
-    assert gain(auto, human, x[order]).tobytes() == together[order].tobytes()
+    assert pair.gain(x[order]).tobytes() == together[order].tobytes()
     i = rng.integers(size)
-    assert gain(auto, human, x[i : i + 1]).tobytes() == together[i : i + 1].tobytes()
+    assert pair.gain(x[i : i + 1]).tobytes() == together[i : i + 1].tobytes()
     others = rng.normal(0, 1e6, x.shape)
     others[rng.random(size) < 0.3] = np.nan
     others[i] = x[i]
-    assert gain(auto, human, others)[i].tobytes() == together[i].tobytes()
+    assert pair.gain(others)[i].tobytes() == together[i].tobytes()
+
+
+def ensemble(seeds):
+    """Members trained on the same rows: one normalisation, weights of their own."""
+    first = random_predictor(seeds[0])
+    return [first] + [
+        dataclasses.replace(first, params=random_predictor(seed).params) for seed in seeds[1:]
+    ]
+
+
+def test_an_ensemble_predicts_the_mean_of_its_members():
+    members = ensemble((1, 2, 3))
+    together = combine(members)
+    x = sample(40, seed=7)
+    single = np.stack([one.predict(x) for one in members])
+    assert np.ptp(single, axis=0).min() > 1  # they disagree, so that a mean is something
+    np.testing.assert_allclose(together.predict(x), single.mean(axis=0), rtol=1e-6)
+    by_hand = np.mean([numpy_forward(together, x, member) for member in range(3)], axis=0)
+    np.testing.assert_allclose(together.predict(x), by_hand, rtol=1e-5, atol=1e-2)
+    np.testing.assert_allclose(combine(members[::-1]).predict(x), together.predict(x), rtol=1e-6)
+    one = combine(members[:1])
+    assert one.predict(x).tobytes() == members[0].predict(x).tobytes()
+
+
+def test_a_predictor_takes_its_features_by_name():
+    rng = np.random.default_rng(0)
+    rows = rng.normal(0, 5, (30, len(STATE)))
+    names = ("turn", "distance", "n_objects")
+    x = rows[:, [STATE.index(name) for name in names]]
+    chooser = init(jax.random.key(0), x, rng.normal(0, 9, 30), hidden=(5,), names=names)
+    assert chooser.features == names
+    value = chooser.of_states(rows)
+    assert value.tobytes() == chooser.predict(x).tobytes()
+    others = [i for i, name in enumerate(STATE) if name not in names]
+    rows[:, others] = np.nan
+    assert chooser.of_states(rows).tobytes() == value.tobytes()
+    rows[4, STATE.index("turn")] = np.inf
+    assert np.flatnonzero(np.isnan(chooser.of_states(rows))).tolist() == [4]
+    with pytest.raises(ValueError, match=r"features must be \[B, 3\]"):
+        chooser.predict(rows)
+
+
+def test_a_failure_s_gain_is_the_logistic_of_its_network():
+    x = states(sample(5))
+    for odds in (-3.0, 0.0, 0.25, 40.0, -200.0):
+        value = Failure(constant(odds)).gain(x)
+        np.testing.assert_allclose(value, 1 / (1 + np.exp(-odds)), rtol=1e-6, atol=1e-40)
+        assert value.dtype == np.float32
+    x[2, 3] = np.nan
+    assert np.isnan(Failure(constant(1.0)).gain(x)).tolist() == [False, False, True, False, False]
+
+
+def test_dropout_needs_a_key_and_is_off_without():
+    predictor = random_predictor(1)
+    x = jnp.asarray(sample(1)[0], jnp.float32)
+    plain = float(forward(predictor, x))
+    assert float(forward(predictor, x, dropout=0.5)) == plain  # no key: nothing is dropped
+    drawn = [float(forward(predictor, x, dropout=0.5, key=jax.random.key(k))) for k in range(8)]
+    assert len(set(drawn)) > 4
+    assert float(forward(predictor, x, dropout=0.5, key=jax.random.key(3))) == drawn[3]

@@ -12,7 +12,10 @@ from hypothesis import strategies as st
 from pgf_jax.errors import BadInput
 from pgf_jax.guidance.rows import (
     FEATURES,
+    PUBLISHED,
+    Rule,
     autonomous_rows,
+    failure_rows,
     history_features,
     human_rows,
     split_by_scene,
@@ -405,6 +408,92 @@ def test_an_unwritable_place_is_bad_input(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(BadInput, match="cannot be written"):
         write_runs(tmp_path / "file" / "runs.parquet", two_runs())
+
+
+# -- other rules, and other targets --------------------------------------------------------------
+
+
+def counting_run(iterations, *, solved=False, scene="a"):
+    """Cost 1000 - t after iteration t; a solving iteration comes on top, at a cost of 3."""
+    run = log(scene)
+    run.begin_segment("reach")
+    reach(run, [1000 - t for t in range(iterations + 1)])
+    if solved:
+        run.add((3.0, 0.0, 0.0), feasible=True)
+    return run.frame()
+
+
+def test_the_published_rule_by_hand():
+    rows = autonomous_rows(counting_run(17), PUBLISHED)
+    # 11 on from 3 is 14; from 6 it is the last one; from 7 the run is too short.
+    assert rows.iteration.tolist() == [3, 4, 5, 6]
+    assert rows.target.tolist() == [986, 985, 984, 983]
+    # Places 0, 1, 2, 0, ...: iteration 1 lies at place 0, and 4 takes its place.
+    assert rows.features.tolist() == [
+        features_of_costs(999, 998, 997),
+        features_of_costs(996, 998, 997),
+        features_of_costs(996, 995, 997),
+        features_of_costs(996, 995, 994),
+    ]
+    # What was solved sooner teaches nothing, however well it went.
+    assert len(autonomous_rows(counting_run(10, solved=True), PUBLISHED).target) == 0
+    solved = autonomous_rows(counting_run(13, solved=True), PUBLISHED)
+    assert (solved.iteration.tolist(), solved.target.tolist()) == ([3], [3])
+
+
+def test_each_part_of_the_published_rule_by_itself():
+    frame = counting_run(15)
+    paper = autonomous_rows(frame)
+    ahead = autonomous_rows(frame, Rule(look_ahead=11))
+    assert ahead.features.tolist() == paper.features.tolist()
+    assert ahead.target.tolist() == [986, *[985] * 12] != paper.target.tolist()
+    dropped = autonomous_rows(frame, Rule(carried=False))
+    assert dropped.iteration.tolist() == [3, 4, 5]
+    assert dropped.target.tolist() == paper.target[:3].tolist()
+    ring = autonomous_rows(frame, Rule(ring=True))
+    assert ring.target.tolist() == paper.target.tolist()
+    same = (ring.features == paper.features).all(axis=1)
+    assert same.tolist() == [t % 3 == 0 for t in range(3, 16)]
+
+
+def test_the_published_rule_of_human_runs():
+    """Iterations of pushes, and iteration 0s, are no more counted than by the paper's."""
+    run = log()
+    run.begin_segment("reach")
+    reach(run, [900, 890, 880, 870, 860])  # 0..4; counted 1..4
+    push(run, 2, feasible=True)  # 5, 6
+    run.begin_segment("reach")
+    reach(run, list(range(800, 800 - 12 * 10, -10)))  # 7..18; counted 5..15
+    rows = human_rows(run.frame(), PUBLISHED)
+    assert (rows.iteration.tolist(), rows.target.tolist()) == ([4], [690])
+    assert rows.features.tolist() == [features_of_costs(860, 880, 870)]
+    run.input_given()
+    reach(run, [600])
+    assert human_rows(run.frame(), PUBLISHED).iteration.tolist() == [4]
+    assert human_rows(run.frame()).target.tolist() == [700, 600]
+
+
+def test_failure_rows_by_hand():
+    frames = [counting_run(13, solved=True), counting_run(12, scene="b")]
+    rows = failure_rows(pl.concat(frames))
+    # Solved by iteration 14: from 3, the tenth on is 13, and from 4 it is 14.
+    assert rows.iteration.tolist() == [*range(3, 14), *range(3, 13)]
+    assert rows.target.tolist() == [1] + [0] * 10 + [1] * 10
+    assert rows.unsolved.tolist() == rows.target.astype(bool).tolist()
+    paper = autonomous_rows(pl.concat(frames))
+    assert rows.features.tolist() == paper.features.tolist()
+    assert paper.unsolved.tolist() == rows.unsolved.tolist()
+    with pytest.raises(BadInput, match="has human input"):
+        failure_rows(helped_run().frame())
+
+
+def test_rows_with_some_of_the_features():
+    rows = autonomous_rows(counting_run(8))
+    assert rows.names == FEATURES
+    some = rows.only(("c_d[t-0]", "n_objects"))
+    assert some.names == ("c_d[t-0]", "n_objects")
+    assert some.features.tolist() == [[1000.0 - t, 20.0] for t in range(3, 9)]
+    assert some.target is rows.target and some.only(some.names).names == some.names
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])

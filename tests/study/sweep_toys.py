@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from pgf_jax.guidance import checkpoint
-from pgf_jax.guidance.predictor import init
+from pgf_jax.guidance.predictor import FEATURES, combine, init
 from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, register_engine
 from pgf_jax.study.sweep_config import SweepConfig
 
@@ -58,20 +58,30 @@ def ghost(out: Path, **changes) -> SweepConfig:
     return SweepConfig(**(settings | changes))
 
 
-def write_checkpoints(folder: Path) -> Path:
-    """Two untrained networks about costs in the hundreds."""
-    rng = np.random.default_rng(0)
-    features, target = rng.uniform(0, 500, (50, 10)), rng.uniform(0, 500, 50)
-    for seed, network in enumerate(checkpoint.NETWORKS):
+OF_STATE = (*FEATURES, "iteration", "distance")  # what the toy `gain` looks at
+
+
+def write_checkpoints(folder: Path, seed: int = 0) -> Path:
+    """Untrained networks about costs in the hundreds; `gain` is an ensemble, `failure` log-odds."""
+    rng = np.random.default_rng(seed)
+    features, target = rng.uniform(0, 500, (50, len(OF_STATE))), rng.uniform(0, 500, 50)
+    for number, network in enumerate(checkpoint.NETWORKS):
+        names = OF_STATE if network == "gain" else FEATURES
+        y = (target - 250) / 50 if network == "failure" else target
+        members = [
+            init(jax.random.key(10 * member + number), features[:, : len(names)], y, names=names)
+            for member in range(2 if network == "gain" else 1)
+        ]
         checkpoint.save(
             folder / checkpoint.checkpoint_name(network),
             checkpoint.Checkpoint(
                 network,
-                init(jax.random.key(seed), features, target),
+                combine(members),
                 data_sha256=f"digest of {network}",
-                scenes=40 + seed,
+                scenes=40 + number,
                 rows=50,
-                figures={"rmse_val": 1.0},
+                config={"seed": str(seed)},
+                figures={"loss_val": 1.0},
             ),
         )
     return folder

@@ -14,8 +14,9 @@ from pgf_jax.guidance.rows import human_rows
 from pgf_jax.guidance.runs import Mode, read_runs, runs_path
 from pgf_jax.planning.types import Push
 from pgf_jax.scene import sample_scene
-from pgf_jax.study.collect import ask_at, collect, scene_of
+from pgf_jax.study.collect import collect
 from pgf_jax.study.collect_config import CollectConfig
+from pgf_jax.study.collect_run import ask_at, scene_of
 from pgf_jax.study.plan import plan
 from pgf_jax.study.plan_config import PlanConfig
 
@@ -123,14 +124,14 @@ def test_finished_runs_of_an_unfinished_chunk_are_kept_too(tmp_path):
 
 
 def test_scenes_can_be_added(tmp_path, autonomous):
-    collect(settings(tmp_path, scenes=1))
-    collect(settings(tmp_path, scenes=3, resume=True))
+    collect(settings(tmp_path, scenes=1, operator="none"))
+    collect(settings(tmp_path, scenes=3, operator="none", resume=True))
     assert runs_path(tmp_path, Mode.AUTONOMOUS).read_bytes() == autonomous.read_bytes()
     # A part that was merged, but not yet removed, when the power went is counted once.
     again = tmp_path / "autonomous" / "parts" / "part_00000.parquet"
     again.parent.mkdir()
     again.write_bytes(autonomous.read_bytes())
-    collect(settings(tmp_path, scenes=3, resume=True))
+    collect(settings(tmp_path, scenes=3, operator="none", resume=True))
     assert runs_path(tmp_path, Mode.AUTONOMOUS).read_bytes() == autonomous.read_bytes()
 
 
@@ -225,7 +226,7 @@ def test_a_truncated_part_or_settings_file_is_named(tmp_path, autonomous):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"mode": "both"}, "mode: expected one of autonomous, human, got 'both'"),
+        ({"mode": "both"}, "mode: expected one of autonomous, human, forks, got 'both'"),
         ({"scenes": 0}, "scenes: expected a whole number 1 or more, got 0"),
         ({"seed": -1}, "seed: expected a whole number within 0"),
         ({"classes": ()}, "classes: expected one or more"),
@@ -236,6 +237,10 @@ def test_a_truncated_part_or_settings_file_is_named(tmp_path, autonomous):
         ({"mode": "human", "operator": "none"}, "operator: human runs need one"),
         ({"task_limit": 1.0}, "task_limit: expected a number of seconds, 1.5 or more, got 1.0"),
         ({"ask_from": 5, "ask_to": 4}, "ask_to: expected a whole number 5 or more, got 4"),
+        ({"mode": "forks", "operator": "none"}, "operator: forks runs need one"),
+        ({"mode": "forks", "ask_from": 2}, "ask_from: expected a whole number 3 or more, got 2"),
+        ({"keys": 0}, "keys: expected a whole number 1 or more, got 0"),
+        ({"workers": 0}, "workers: expected a whole number 1 or more, got 0"),
         ({"chunk": 0}, "chunk: expected a whole number 1 or more, got 0"),
         ({"lanes": 0}, "lanes: expected a whole number 1 or more, got 0"),
     ],

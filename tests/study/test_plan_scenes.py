@@ -215,7 +215,7 @@ def test_what_is_no_key_is_refused(key):
 
 def test_a_corrupt_checkpoint_is_refused_before_planning(tmp_path):
     (tmp_path / "phi_auto.msgpack").write_bytes(b"junk")
-    config = dataclasses.replace(NATIVE, predictor=tmp_path)
+    config = dataclasses.replace(NATIVE, predictor=str(tmp_path))
     with pytest.raises(BadInput, match=r"phi_auto\.msgpack: truncated or corrupt"):
         plan(0, sample_scene(0, "wide"), config)
 

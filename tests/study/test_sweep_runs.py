@@ -12,12 +12,24 @@ from sweep_toys import RESULTS, content, ghost, tree, write_checkpoints, write_s
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
-from pgf_jax.study import results, sweep_run, sweep_setup
+from pgf_jax.guidance import bidders
+from pgf_jax.guidance.predictor import Direct
+from pgf_jax.study import results, sweep_setup
 from pgf_jax.study import sweep as sweep_module
 from pgf_jax.study.sweep import sweep
 from pgf_jax.study.sweep_config import Cell, SweepConfig
-from pgf_jax.study.sweep_run import run_in_processes, shares
-from pgf_jax.study.sweep_setup import prepare, task_scene
+from pgf_jax.study.sweep_run import run_cells_in_processes, shares
+from pgf_jax.study.sweep_setup import identity, prepare, task_scene
+
+
+@pytest.fixture(scope="module", autouse=True)
+def shipped(tmp_path_factory):
+    """Sweeps here are about sweeps, whatever the networks that ship have learned."""
+    folder = write_checkpoints(tmp_path_factory.mktemp("shipped"), seed=9)
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (bidders, sweep_setup):
+            patch.setattr(module, "shipped_checkpoints", lambda: folder)
+        yield folder
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +176,7 @@ def test_git_commit(tmp_path):
 def test_pgf_bids_the_gains_of_the_checkpoints(tmp_path):
     folder = write_checkpoints(tmp_path / "predictors")
     out = tmp_path / "out"
-    config = ghost(out, policies=("pgf", "autonomous"), robots=(2,), predictor=folder)
+    config = ghost(out, policies=("pgf", "autonomous"), robots=(2,), predictor=str(folder))
     result = sweep(config, quiet=True)
     events = result.events()
     reach = events.filter(pl.col("kind") == "iteration")
@@ -181,6 +193,107 @@ def test_pgf_bids_the_gains_of_the_checkpoints(tmp_path):
     assert trained["phi_human"]["scenes"] == 41
     digest = results.sha256((folder / "phi_auto.msgpack").read_bytes())
     assert trained["phi_auto"]["sha256"] == digest
+
+
+def test_pgf_bids_the_best_predictor_s_gains(tmp_path, monkeypatch):
+    folder = write_checkpoints(tmp_path / "predictors")
+    for network in ("phi_auto", "phi_human", "failure"):
+        (folder / f"{network}.msgpack").unlink()  # nobody asks for them
+    seen = []
+    gain = Direct.gain
+
+    def remembered(self, states):
+        values = gain(self, states)
+        seen.extend(zip(map(bytes, states), values.tolist(), strict=True))
+        return values
+
+    monkeypatch.setattr(Direct, "gain", remembered)
+    out = tmp_path / "out"
+    config = ghost(out, policies=("pgf",), robots=(2,), predictor=f"best:{folder}")
+    events = sweep(config, quiet=True).events()
+    logged = events.filter(pl.col("kind") == "iteration")["gain"].drop_nulls()
+    said = [value for _, value in seen if np.isfinite(value)]
+    assert len(logged) > 0 and sorted(logged) == pytest.approx(sorted(said))
+    bids = events.filter(pl.col("kind") == "bid")
+    predicted = bids.filter(pl.col("gain").is_finite())["gain"]  # the stuck ones bid inf
+    assert len(predicted) > 0 and set(predicted) <= set(logged) and (predicted > 1).all()
+    trained = json.loads((out / "manifest.json").read_text())["predictors"]
+    assert list(trained) == ["gain"] and trained["gain"]["data_sha256"] == "digest of gain"
+
+
+def test_the_classifier_bids_where_failure_is_likely(tmp_path):
+    folder = write_checkpoints(tmp_path / "predictors", seed=8)  # neither sure nor hopeless
+    out = tmp_path / "out"
+    config = ghost(out, policies=("classifier", "pgf"), robots=(2,), tasks=3, predictor=str(folder))
+    events = sweep(config, quiet=True).events()
+    reach = events.filter(pl.col("kind") == "iteration", pl.col("gain").is_not_null())
+    own, other = (
+        reach.filter(pl.col("policy") == policy)["gain"] for policy in ("classifier", "pgf")
+    )
+    assert own.is_between(0, 1).all() and (own > 0.5).any() and (own < 0.5).any()
+    assert not other.is_between(0, 1).all()  # the paper's gains, in units of cost
+    bids = events.filter(pl.col("kind") == "bid", pl.col("policy") == "classifier")
+    assert len(bids) > 0 and set(bids["gain"]) == {1.0}
+    logged = {
+        (row["robot"], row["task"], row["iteration"]): row
+        for row in events.filter(
+            pl.col("kind") == "iteration", pl.col("policy") == "classifier"
+        ).rows(named=True)
+    }
+    for bid in bids.rows(named=True):
+        row = logged[bid["robot"], bid["task"], bid["iteration"]]
+        assert row["outcome"] == "stuck" or row["gain"] > 0.5
+    trained = json.loads((out / "manifest.json").read_text())["predictors"]
+    assert sorted(trained) == ["failure", "phi_auto", "phi_human"]
+
+
+def test_a_cell_s_identity_names_the_predictor_that_it_used(tmp_path):
+    first = write_checkpoints(tmp_path / "first")
+    second = write_checkpoints(tmp_path / "second", seed=1)
+    cells = {policy: Cell(policy, 1, 2) for policy in ("pgf", "classifier", "autonomous")}
+
+    def used(predictor, policy):
+        setup = prepare(ghost(tmp_path / "out", policies=tuple(cells), predictor=predictor))
+        return identity(setup, cells[policy])["predictors"]
+
+    texts = [f"{name}:{folder}" for name in ("paper", "best") for folder in (first, second)]
+    for policy, different in (("pgf", 4), ("autonomous", 4), ("classifier", 2)):
+        found = [used(text, policy) for text in texts]
+        assert len({json.dumps(one, sort_keys=True) for one in found}) == different
+    assert list(used(texts[2], "pgf")) == ["gain"]
+    assert list(used(texts[2], "classifier")) == ["failure"]
+    digest = results.sha256((second / "failure.msgpack").read_bytes())
+    assert used(texts[3], "classifier") == {"failure": digest}
+    # Who else is in the sweep does not matter.
+    alone = prepare(ghost(tmp_path / "out", policies=("pgf",), predictor=texts[2]))
+    assert identity(alone, cells["pgf"])["predictors"] == used(texts[2], "pgf")
+    assert alone.classifier is None
+
+
+def test_another_kind_of_predictor_is_another_configuration(tmp_path):
+    folder = write_checkpoints(tmp_path / "predictors")
+    config = ghost(tmp_path / "out", policies=("pgf",), robots=(1,), tasks=1, predictor=str(folder))
+    sweep(config, quiet=True)
+    best = dataclasses.replace(config, predictor=f"best:{folder}")
+    refused(best, "of another configuration", config.out)
+    same = dataclasses.replace(config, predictor=f"paper:{folder}", resume=True)
+    assert sweep(same, quiet=True).computed == ()
+
+
+@pytest.mark.parametrize(
+    ("policies", "predictor", "missing"),
+    [
+        (("classifier",), "{}", "failure"),
+        (("pgf",), "best:{}", "gain"),
+        (("autonomous",), "best:{}", "gain"),
+        (("classifier",), "best:{}", "gain"),
+    ],
+)
+def test_a_missing_network_is_named(tmp_path, policies, predictor, missing):
+    folder = write_checkpoints(tmp_path / "predictors")
+    (folder / f"{missing}.msgpack").unlink()
+    config = ghost(tmp_path / "out", policies=policies, predictor=predictor.format(folder))
+    refused(config, rf"{folder}/{missing}\.msgpack: no such file", tmp_path)
 
 
 def test_scenes_of_a_folder(tmp_path):
@@ -360,6 +473,8 @@ def test_bad_files_and_folders(broken, changes, message):
         for name, value in changes.items()
         if name not in ("operator", "policies")
     }
+    if "predictor" in paths:
+        paths["predictor"] = str(paths["predictor"])
     config = ghost(broken / "out") if "out" not in paths else ghost(paths.pop("out"))
     refused(dataclasses.replace(config, **(changes | paths | {"out": config.out})), message, broken)
     assert not (broken / "out").exists()
@@ -370,9 +485,9 @@ def test_pgf_without_shipped_checkpoints(tmp_path, monkeypatch):
         raise BadInput("no shipped checkpoints")
 
     monkeypatch.setattr(sweep_setup, "shipped_checkpoints", none)
-    monkeypatch.setattr("pgf_jax.guidance.checkpoint.shipped_checkpoints", none)
+    monkeypatch.setattr(bidders, "shipped_checkpoints", none)
     refused(ghost(tmp_path / "out", policies=("pgf",)), "no shipped checkpoints", tmp_path)
-    assert prepare(ghost(tmp_path / "out")).predictors is None  # nobody needs them
+    assert prepare(ghost(tmp_path / "out")).bidder is None  # nobody needs them
 
 
 @pytest.mark.parametrize("resume", [False, True])
@@ -403,7 +518,7 @@ def test_another_predictor_is_another_configuration(tmp_path):
     folder = write_checkpoints(tmp_path / "predictors")
     out = tmp_path / "out"
     config = ghost(out, policies=("autonomous",), robots=(1,))
-    sweep(dataclasses.replace(config, predictor=folder), quiet=True)
+    sweep(dataclasses.replace(config, predictor=str(folder)), quiet=True)
     refused(config, "of another configuration", out)
 
 
@@ -504,22 +619,15 @@ class _Deaf:
 def test_bad_input_comes_out_of_a_process(tmp_path):
     setup = prepare(ghost(tmp_path))  # `ghost` is registered here, not there
     with pytest.raises(BadInput, match="unknown engine 'ghost'"):
-        run_in_processes(setup, setup.config.cells(), 1, _Deaf())
+        run_cells_in_processes(setup, setup.config.cells(), 1, _Deaf())
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_process_that_dies_is_reported(tmp_path, monkeypatch):
-    monkeypatch.setattr(sweep_run, "_work", os._exit)  # called with a Setup: a TypeError there
-    setup = prepare(ghost(tmp_path))
-    with pytest.raises(RuntimeError, match=r"ended early \(exit code 1\)"):
-        run_in_processes(setup, setup.config.cells(), 1, _Deaf())
 
 
 @pytest.mark.slow
 def test_quick_preset(tmp_path):
     folder = write_checkpoints(tmp_path / "predictors")
     out = tmp_path / "out"
-    config = SweepConfig(preset="quick", operator="none", predictor=folder, out=out, workers=2)
+    config = SweepConfig(preset="quick", operator="none", predictor=str(folder), out=out, workers=2)
     result = sweep(config)
     assert len(result.tasks()) == 40
     assert [s.robots for s in result.summaries] == [1, 4, 1, 4]

@@ -1,0 +1,66 @@
+"""Which predictor a study uses: by name, the shipped ones, or from a folder of one's own."""
+
+import dataclasses
+from collections.abc import Mapping
+from importlib.resources.abc import Traversable
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from pgf_jax.errors import BadInput
+from pgf_jax.guidance.checkpoint import Checkpoint, load_network, shipped_checkpoints
+from pgf_jax.guidance.predictor import Bidder, Direct, Failure, Pair
+
+_MAKE = {"paper": Pair, "best": Direct, "classifier": Failure}
+NETWORKS: Mapping[str, tuple[str, ...]] = {
+    "paper": ("phi_auto", "phi_human"),
+    "best": ("gain",),
+    "classifier": ("failure",),  # for the policy of that name: a probability, not a gain
+}
+PREDICTORS = ("paper", "best")
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """A predictor that was asked for.
+
+    Attributes:
+      name: one of `NETWORKS`.
+      folder: where its checkpoints lie; None: those that ship.
+    """
+
+    name: str = "paper"
+    folder: Path | None = None
+
+    def files(self) -> Traversable:
+        """The folder."""
+        return shipped_checkpoints() if self.folder is None else self.folder
+
+    def load(self) -> tuple[Bidder, tuple[Checkpoint, ...]]:
+        """The predictor, and the checkpoints that it is made of.
+
+        Raises:
+          BadInput: one line that names the folder or the file.
+        """
+        folder = self.files()
+        if not folder.is_dir():
+            raise BadInput(f"{folder}: no such folder, expected one with checkpoints")
+        checkpoints = tuple(load_network(folder, network) for network in NETWORKS[self.name])
+        networks = [checkpoint.predictor for checkpoint in checkpoints]
+        # NumPy leaves: arrays of JAX would start its backend wherever they are unpickled.
+        return _MAKE[self.name](*(jax.tree.map(np.asarray, net) for net in networks)), checkpoints
+
+
+def choice(text: str) -> Choice:
+    """What `--predictor TEXT` asks for: `paper` or `best`, those of a folder, `best:FOLDER`, or a
+    folder, for the paper's pair in it.
+    """
+    if text in PREDICTORS:
+        return Choice(text)
+    name, colon, folder = text.partition(":")
+    if not text or (colon and name in PREDICTORS and not folder):
+        raise BadInput(f"predictor: expected {', '.join(PREDICTORS)} or a folder, got {text!r}")
+    if colon and name in PREDICTORS:
+        return Choice(name, Path(folder))
+    return Choice("paper", Path(text))

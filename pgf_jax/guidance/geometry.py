@@ -1,0 +1,70 @@
+"""Geometry of a view: what the operator sees, and what predictors are told of it."""
+
+import numpy as np
+
+from pgf_jax.guidance.operators import View
+from pgf_jax.physics import hand
+from pgf_jax.scene.scene import BACK_WALL_X, SIDE_WALL_Y
+
+CORRIDOR = 0.065  # m, half-width (D2)
+_FRONT = hand.capsule_segments(0.0).max((1, 2)) > 0.12  # not the base and the wrist
+_FRONT_RADII = hand.RADII[_FRONT]
+OPEN = hand.capsule_segments(0.0)[_FRONT]  # [C, 2, 2] axes of the open hand ahead of the wrist
+CLOSED = hand.capsule_segments(hand.GRIPPER_CLOSED)[_FRONT]
+
+
+def culprits(view: View) -> np.ndarray:
+    """[N] 1 for objects that stop the best trajectory so far, else 0."""
+    n = len(view.objects)
+    marked = np.zeros(n)
+    if not np.isfinite(view.terms).all():
+        return marked
+    last, pose = view.path[-1], view.hands[-1]
+    ee, yaw = end_effector(pose), pose[2] + hand.POINTING_YAW
+    to = last - ee
+    bearing = wrap(np.arctan2(to[:, 1], to[:, 0]) - yaw)
+    marked[np.hypot(np.linalg.norm(to, axis=1), 0.09 * bearing) < 0.075] = 1  # sits in the hand
+    goal_and_hand = {view.goal, n}
+    for force, (a, b) in zip(view.force[-1], view.bodies[-1], strict=True):
+        for one, other in ((a, b), (b, a)):
+            # What is ahead of the hand stops it, and what is jammed between hand and wall; what
+            # merely slides along its side does not.
+            stops = other in goal_and_hand and abs(bearing[one % n]) < 1.2 and force > 1
+            jammed = other == n + 1 and force > 20
+            if one < n and (stops or jammed):
+                marked[one] = 1
+    marked[view.goal] = 0
+    return marked
+
+
+def segment_distance(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """[P, N] distance of points [N, 2] to the segments a-b, each [P, 2] or [2]."""
+    a, b = np.broadcast_arrays(a, b)
+    a, b = np.atleast_2d(a)[:, None], np.atleast_2d(b)[:, None]
+    ab = b - a
+    t = ((points[None] - a) * ab).sum(-1) / np.maximum((ab**2).sum(-1), 1e-12)
+    return np.linalg.norm(points[None] - a - np.clip(t, 0, 1)[..., None] * ab, axis=-1)
+
+
+def into_walls(ee: np.ndarray, yaw: np.ndarray, capsules: np.ndarray) -> np.ndarray:
+    """[P] how far a hand at `ee` ([P, 2]), turned by `yaw` ([P]), is in a wall, m.
+
+    `capsules` are [C, 2, 2] axes in the hand's frame of what is ahead of the wrist.
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    rel = capsules - hand.EE_POINT
+    x = ee[:, 0, None, None] + c[:, None, None] * rel[..., 0] - s[:, None, None] * rel[..., 1]
+    y = ee[:, 1, None, None] + s[:, None, None] * rel[..., 0] + c[:, None, None] * rel[..., 1]
+    over = np.maximum(np.abs(y) - SIDE_WALL_Y, x - BACK_WALL_X) + _FRONT_RADII[:, None]
+    return np.clip(over.max((1, 2)), 0, None)
+
+
+def end_effector(pose: np.ndarray) -> np.ndarray:
+    """[2] position of `ee`, m, of a hand pose [3]."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return pose[:2] + np.array([[c, -s], [s, c]]) @ hand.EE_POINT
+
+
+def wrap(angle: np.ndarray) -> np.ndarray:
+    """The angles within (-pi, pi]."""
+    return np.arctan2(np.sin(angle), np.cos(angle))

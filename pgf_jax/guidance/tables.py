@@ -1,0 +1,105 @@
+"""Tables on disk: Parquet with fixed columns, written whole or not at all."""
+
+import io
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pgf_jax.errors import BadInput
+
+PROVENANCE = "pgf_jax"  # key of the settings in a file's metadata
+
+
+def write_table(path: Path | str, frame: pl.DataFrame, about: Mapping[str, Any] | None) -> None:
+    """Write a table; the same one gives the same bytes.
+
+    Args:
+      path: the file.
+      frame: what to write.
+      about: where it comes from, kept as JSON in the file's metadata; None: nothing.
+
+    Raises:
+      BadInput: it cannot be written there.
+    """
+    buffer = io.BytesIO()
+    metadata = None if about is None else {PROVENANCE: json.dumps(about, sort_keys=True)}
+    frame.write_parquet(buffer, metadata=metadata)
+    write_atomically(path, buffer.getvalue())
+
+
+def read_table(path: Path | str, schema: Mapping[str, pl.DataType], what: str) -> pl.DataFrame:
+    """Read a table and check its columns.
+
+    Args:
+      path: the file.
+      schema: its columns; none may be null. Others are left out.
+      what: it should hold, for the message.
+
+    Raises:
+      BadInput: the file is missing, not a whole Parquet file, empty, or lacks a column.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file, expected {what} (Parquet)")
+    try:
+        frame = pl.read_parquet(io.BytesIO(path.read_bytes()))
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise BadInput(f"{path}: not a readable Parquet file ({reason})") from error
+    return check_columns(frame, schema, str(path))
+
+
+def read_provenance(path: Path | str) -> dict[str, Any]:
+    """What `write_table` was told of a table's origin.
+
+    Raises:
+      BadInput: the file does not say.
+    """
+    try:
+        about = json.loads(pl.read_parquet_metadata(path)[PROVENANCE])
+    except (KeyError, ValueError, pl.exceptions.PolarsError) as error:
+        raise BadInput(f"{path}: does not say where it comes from") from error
+    return about
+
+
+def check_columns(
+    frame: pl.DataFrame, schema: Mapping[str, pl.DataType], name: str
+) -> pl.DataFrame:
+    """The columns of `schema`, or BadInput with `name` in the message."""
+    for column, dtype in schema.items():
+        if column not in frame.columns:
+            raise BadInput(f"{name}: column {column} is missing, expected {', '.join(schema)}")
+        if frame.schema[column] != dtype:
+            raise BadInput(
+                f"{name}: column {column} has type {frame.schema[column]}, expected {dtype}"
+            )
+        if frame[column].null_count():
+            raise BadInput(
+                f"{name}: column {column} has {frame[column].null_count()} nulls, expected none"
+            )
+    if frame.is_empty():
+        raise BadInput(f"{name}: holds no rows, expected one or more")
+    return frame.select(list(schema))
+
+
+def write_atomically(path: Path | str, data: bytes) -> None:
+    """Write a file whole or not at all, making its folder where needed.
+
+    Raises:
+      BadInput: it cannot be written there.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            temporary.write_bytes(data)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written ({error.strerror})") from error

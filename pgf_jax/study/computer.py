@@ -1,0 +1,179 @@
+"""What all robots of a process share: an engine and a planner, and the queue in front of them.
+
+Robots, operators that try pushes, and forks ask in the form of deliberations (`guidance.trials`);
+`Queue` turns what they ask into fixed-shape calls of L lanes, so that no result depends on who
+shares a call (D8).
+"""
+
+import copy
+import functools
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pgf_jax.guidance.trials import Deliberation, Gain, Request, Retreat, Step
+from pgf_jax.physics.config import PHYSICS
+from pgf_jax.physics.engine import Engine, make_engine
+from pgf_jax.planning.config import Cost
+from pgf_jax.planning.config import Planner as PlannerConfig
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.study.checks import Planning
+
+
+class Computer:
+    """Engine and planner of one process.
+
+    Args:
+      engine: rolls out L lanes of K rollouts at a time.
+      config: of the planner.
+    """
+
+    def __init__(self, engine: Engine, config: PlannerConfig | None = None) -> None:
+        self.engine = engine
+        self.planner = BatchPlanner(engine, config)
+        self.calls = 0  # iteration calls made
+        self.lanes_used = 0  # lanes in them that held work
+        self.saturated = 0  # rollouts in which contacts may have been dropped (no slot left)
+        self._keys = jax.jit(jax.vmap(_key))
+
+    def occupancy(self) -> tuple[int, int]:
+        """(work whose result was used, work computed) since this was last called.
+
+        In the units of an engine that leaves lanes out and counts what it does; else in lanes of
+        iteration calls.
+        """
+        own = getattr(self.engine, "occupancy", None)
+        used, computed = self.lanes_used, self.calls * self.engine.lanes
+        self.calls = self.lanes_used = 0
+        return (used, computed) if own is None else own()
+
+    def compute(self, requests: Sequence[Request]) -> list[Any]:
+        """Results of requests, in order: a `Search` of each step, a `World` of each retreat.
+
+        A `Gain` gives a float.
+        """
+        results: list[Any] = [None] * len(requests)
+        asked: dict[int, list[int]] = {}  # predictor -> who asked for its gain
+        for i, request in enumerate(requests):
+            if isinstance(request, Gain):
+                asked.setdefault(id(request.predictor), []).append(i)
+        for places in asked.values():
+            gains: list[Any] = [requests[i] for i in places]
+            states = np.stack([gain.state for gain in gains])
+            for i, value in zip(places, gains[0].predictor.gain(states), strict=True):
+                results[i] = float(value)
+        steps = [(i, r) for i, r in enumerate(requests) if isinstance(r, Step)]
+        retreats = [(i, r) for i, r in enumerate(requests) if isinstance(r, Retreat)]
+        for part in _parts(retreats, self.engine.lanes):
+            worlds = self.planner.retreat([retreat.search for _, retreat in part])
+            for (i, _), world in zip(part, worlds, strict=True):
+                results[i] = world
+        for part in _parts(steps, self.engine.lanes):
+            after = self._iterate([step for _, step in part])
+            for (i, step), search in zip(part, after, strict=True):
+                self.saturated += int(search.saturated - step.search.saturated)
+                results[i] = search
+        return results
+
+    def _iterate(self, steps: Sequence[Step]) -> list[Any]:
+        self.calls += 1
+        self.lanes_used += len(steps)
+        words = [step.words for step in steps]
+        words += [words[0]] * (self.engine.lanes - len(steps))
+        keys = np.asarray(self._keys(np.array(words, np.uint32)))[: len(steps)]
+        return self.planner.step([step.search for step in steps], list(keys))
+
+
+class _Job:
+    """A deliberation under way, and the results it still waits for."""
+
+    def __init__(self, deliberation: Deliberation, done: Callable[[Any], None]) -> None:
+        self.deliberation, self.done = deliberation, done
+        self.answers: list[Any] = []
+        self.missing = 0
+
+
+class Queue:
+    """Deliberations, all their requests in one line: first come, first served."""
+
+    def __init__(self, computer: Computer) -> None:
+        self._computer = computer
+        self._steps: deque[tuple[_Job, int, Request]] = deque()
+        self._others: list[tuple[_Job, int, Request]] = []
+
+    def __len__(self) -> int:
+        """Requests in line."""
+        return len(self._steps) + len(self._others)
+
+    def add(self, deliberation: Deliberation, done: Callable[[Any], None]) -> None:
+        """Start a deliberation; `done` is called with its result, perhaps at once."""
+        self._resume(_Job(deliberation, done), None)
+
+    def round(self) -> None:
+        """One call's worth of iterations, and what else is asked meanwhile."""
+        lanes = self._computer.engine.lanes
+        self._answer([self._steps.popleft() for _ in range(min(lanes, len(self._steps)))])
+        while self._others:  # gains of the iterations just made, say
+            others, self._others = self._others, []
+            self._answer(others)
+
+    def _answer(self, batch: list[tuple[_Job, int, Request]]) -> None:
+        results = self._computer.compute([request for *_, request in batch])
+        for (job, place, _), result in zip(batch, results, strict=True):
+            job.answers[place] = result
+            job.missing -= 1
+            if not job.missing:
+                self._resume(job, job.answers)
+
+    def _resume(self, job: _Job, answers: list[Any] | None) -> None:
+        try:
+            requests = job.deliberation.send(answers)  # pyright: ignore[reportArgumentType]
+            while not requests:
+                requests = job.deliberation.send([])
+        except StopIteration as end:
+            job.done(end.value)
+            return
+        job.answers, job.missing = [None] * len(requests), len(requests)
+        for place, request in enumerate(requests):
+            line = self._steps if isinstance(request, Step) else self._others
+            line.append((job, place, request))
+
+
+def planning_computer(config: Planning, n_objects: int) -> Computer:
+    """A computer for the engine, physics, cost, update and lanes of `config`.
+
+    What it compiles is kept: a second one of the same settings traces nothing again.
+    """
+    planner = PlannerConfig(update=config.update, cost=Cost(variant=config.cost))
+    return computer(config.engine, config.physics, planner, config.lanes or 1, n_objects)
+
+
+def computer(
+    engine: str, physics: str, planner: PlannerConfig, lanes: int, n_objects: int
+) -> Computer:
+    """A computer with counters of its own; what it compiles is kept for the next of its kind."""
+    return copy.copy(_compiled(engine, physics, planner, lanes, n_objects))
+
+
+@functools.lru_cache(maxsize=8)
+def _compiled(
+    engine: str, physics: str, planner: PlannerConfig, lanes: int, n_objects: int
+) -> Computer:
+    return Computer(
+        make_engine(engine, physics=PHYSICS[physics], n_objects=n_objects, lanes=lanes), planner
+    )
+
+
+def _key(words: jax.Array) -> jax.Array:
+    key = jax.random.key(0)
+    for word in words:
+        key = jax.random.fold_in(key, word)
+    return jax.random.key_data(key).astype(jnp.uint32)
+
+
+def _parts(items: Sequence, size: int) -> list:
+    return [items[i : i + size] for i in range(0, len(items), size)]
