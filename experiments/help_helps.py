@@ -1,6 +1,6 @@
 """Does human input help where planning alone is slow? Hard scenes, same keys, with and without.
 
-    python experiments/help_helps.py [--scenes 330] [--operator heuristic]
+    python experiments/help_helps.py [--scenes 330] [--operator heuristic|oracle|clairvoyant]
 
 Scenes of the three classes are planned alone; those unsolved after 6 iterations are hard.
 They are planned again with the same keys and the operator, who is asked once, after iteration 3
