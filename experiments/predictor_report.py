@@ -14,6 +14,7 @@ from pgf_jax.guidance import evaluation as ev
 from pgf_jax.guidance.fitting import Trained
 from pgf_jax.guidance.forks import Forks, read_forks
 from pgf_jax.guidance.predictor import Bidder
+from pgf_jax.guidance.rows import LOOK_AHEAD
 from pgf_jax.guidance.runs import Mode, read_runs, runs_path
 from pgf_jax.guidance.state import STATE
 from pgf_jax.guidance.tables import read_provenance
@@ -34,11 +35,17 @@ def describe(folder: Path, mode: Mode) -> dict[str, Any]:
     frame = read_forks(path) if mode == Mode.FORKS else read_runs(path)
     first = frame.group_by("scene").first()
     kinds = frame["input"].eq("push") if mode == Mode.FORKS else frame["asked_before"]
+    if mode == Mode.FORKS:
+        solved = [frame["alone_solved"].mean(), frame["helped_solved"].mean()]
+    else:
+        reached = frame.filter(frame["feasible"] & (frame["kind"] == "reach"))
+        solved = [reached["scene"].n_unique() / len(first)]
     return {
         "data": f"{folder.name}/{mode}",
         "scenes": settings["scenes"],
         "with_data": len(first),
         "by_class": {name: int((first["class"] == name).sum()) for name in PRESETS},
+        "solved": solved,
         "with_input": int(frame.filter(kinds)["scene"].n_unique()),
         "seed": settings["settings"]["seed"],
         "operator": settings["settings"]["operator"] if mode != Mode.AUTONOMOUS else "",
@@ -179,13 +186,22 @@ def readme(content: Mapping[str, Any], files: Sequence[str]) -> str:
     """`checkpoints/README.md`."""
     content = json.loads(json.dumps(content))  # keys as they are in figures.json
     collected = _table(
-        ("data", "scenes", "of them with rows", "tight, medium, wide", "with input", "first seed"),
+        (
+            "data",
+            "scenes",
+            "of them with rows",
+            "tight, medium, wide",
+            "solved",
+            "with input",
+            "first seed",
+        ),
         [
             (
                 c["data"],
                 str(c["scenes"]),
                 str(c["with_data"]),
                 ", ".join(map(str, c["by_class"].values())),
+                ", ".join(f"{100 * share:.1f} %" for share in c["solved"]),
                 str(c["with_input"]) if c["operator"] else "",
                 str(c["seed"]),
             )
@@ -230,6 +246,7 @@ def readme(content: Mapping[str, Any], files: Sequence[str]) -> str:
         costs=costs,
         gains=gains,
         files="\n".join(files),
+        look_ahead=LOOK_AHEAD,
     )
 
 
@@ -299,6 +316,8 @@ Training and held-out scenes are drawn by different seeds, where there are sever
 The heuristic operator gives the input: in human runs once, after an iteration from 3 to 12. "With
 rows" are, of forks, the scenes unsolved after 3 iterations: each gives one state, at an unsolved
 iteration from 3 to 12, and each state has 4 futures with input and 4 without (16 and 16 held out).
+"With input" they are where the operator gives a push; "solved" are futures without and with input,
+{look_ahead} reach iterations on.
 "Tight alone" below is the pair trained on `train_tight`: the class nearest to the paper's scenes,
 and so easy here that there is next to nothing to learn.
 

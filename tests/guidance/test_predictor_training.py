@@ -21,7 +21,7 @@ from pgf_jax.guidance.rows import Rows, human_rows, split_by_scene
 from pgf_jax.guidance.runs import Mode, RunLog, read_runs, runs_path, write_runs
 from pgf_jax.guidance.state import STATE
 from pgf_jax.guidance.train_config import TrainConfig
-from pgf_jax.guidance.training import train
+from pgf_jax.guidance.training import RECIPES, train
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -329,8 +329,9 @@ def test_forks_beside_the_runs_train_the_gain_too(tmp_path):
     report = train(tmp_path / "data", tmp_path / "out", TrainConfig(max_epochs=2))
     about, loaded = report["gain"], load_network(tmp_path / "out", "gain")
     assert (about["runs"], about["rows"], about["scenes"], about["short"]) == (24, 24, 12, 0)
-    assert loaded.config["members"] == "5"
-    assert loaded.predictor.params["Dense_0"]["bias"].shape[0] == 5
+    members = RECIPES["gain"].settings["members"]
+    assert loaded.config["members"] == str(members)
+    assert loaded.predictor.params["Dense_0"]["bias"].shape[0] == members > 1
     assert set(loaded.predictor.features) <= set(STATE)
     digest = hashlib.sha256((tmp_path / "data/forks/forks.parquet").read_bytes()).hexdigest()
     assert loaded.data_sha256 == about["data_sha256"] == digest
