@@ -45,6 +45,9 @@ class Planner:
     stuck_count: int = 2
     stuck_change: float = 50.0
     stuck_excess: float = 1000.0
+    # q, of an iteration's winner being any of the K: an ablation, for the published rollouts share
+    # one simulator object, which makes the source's choice among the K partly random (D9).
+    random_winner: float = 0.0
     cost: Cost = dataclasses.field(default_factory=Cost)
 
     def __post_init__(self) -> None:
@@ -52,5 +55,10 @@ class Planner:
             raise BadInput(f"rollouts: expected a positive number, got {self.rollouts}")
         if self.update not in ("greedy", "stomp"):
             raise BadInput(f"update: expected greedy or stomp, got {self.update!r}")
+        q = self.random_winner
+        if not isinstance(q, int | float) or isinstance(q, bool) or not 0 <= q <= 1:
+            raise BadInput(f"random_winner: expected a number within 0..1, got {q!r}")
+        if q > 0 and self.update == "stomp":
+            raise BadInput(f"random_winner: expected 0 with update stomp (no winner), got {q!r}")
         if self.cost.variant not in ("source", "paper"):
             raise BadInput(f"cost: expected source or paper, got {self.cost.variant!r}")

@@ -21,6 +21,7 @@ from pgf_jax.planning.types import Push
 
 HISTORY = 3  # P: cost terms of the best after each of the last P iterations
 RETREAT_M, RETREAT_S = 0.07, 1.0
+WINNER = 1  # folded into an iteration's key for the draw of a random winner, apart from the noise
 
 
 class Search(NamedTuple):
@@ -97,7 +98,8 @@ class BatchPlanner:
         """
         lanes, k = self.engine.lanes, self.config.rollouts
         batch = _stack(_pad(searches, lanes))
-        noisy = self._propose(batch, np.stack(_pad(keys, lanes)))  # [L, K, T, 3]
+        padded_keys = np.stack(_pad(keys, lanes))  # [L, 2]
+        noisy = self._propose(batch, padded_keys)  # [L, K, T, 3]
         # Neither the padding, nor the nominal more than once.
         used = np.arange(lanes) < len(searches)
         once = (np.asarray(batch.iteration)[:, None] >= 0) | (np.arange(k) == 0)
@@ -106,6 +108,8 @@ class BatchPlanner:
             batch, blended = self._blend(batch, noisy, rollout)  # [L, 1, T, 3]
             winner = self._roll(batch, blended, used[:, None])
             after = self._absorb(batch, blended, winner)
+        elif self.config.random_winner:
+            after = self._absorb(batch, noisy, rollout, padded_keys)
         else:
             after = self._absorb(batch, noisy, rollout)
         return _unstack(_to_host(after), len(searches))
@@ -217,13 +221,20 @@ class BatchPlanner:
         delta = (weight[:, None, None] * (noisy - search.controls[None])).sum(0)
         return self._count(search, finite, rollout), (search.controls + delta)[None]
 
-    def _absorb_one(self, search: Search, noisy: jax.Array, rollout: Rollout) -> Search:
-        """The iteration's winner replaces the best where it is cheaper; then the stuck counter."""
+    def _absorb_one(
+        self, search: Search, noisy: jax.Array, rollout: Rollout, key: jax.Array | None = None
+    ) -> Search:
+        """The iteration's winner replaces the best where it is cheaper; then the stuck counter.
+
+        The winner is the cheapest; with a key (the iteration's), perhaps a random one (D9).
+        """
         config = self.config
         values = self._evaluate(search, rollout)
         first = search.iteration < 0
         asked = ~first | (jnp.arange(len(values.total)) == 0)
         winner = jnp.argmin(jnp.where(asked, values.total, jnp.inf))
+        if key is not None:
+            winner = jnp.where(first, winner, self._perhaps_any(winner, key))
         c_i, best = values.total[winner], search.value.total
         better = (c_i < best) | first
 
@@ -248,6 +259,13 @@ class BatchPlanner:
             stuck_count=jnp.where(first, 0, n).astype(jnp.int32),
             history=jnp.where(first, search.history, history),
         )
+
+    def _perhaps_any(self, winner: jax.Array, key: jax.Array) -> jax.Array:
+        """[] the winner, or with probability `random_winner` one of the K, drawn uniformly."""
+        coin, which = jax.random.split(jax.random.fold_in(key, WINNER))
+        replaced = jax.random.uniform(coin) < self.config.random_winner
+        drawn = jax.random.randint(which, (), 0, self.config.rollouts)
+        return jnp.where(replaced, drawn, winner)
 
     def _count(self, search: Search, finite: jax.Array, rollout: Rollout) -> Search:
         """Count what is reported of [K] rollouts; iteration 0 rolls the nominal out K times."""

@@ -3,6 +3,8 @@
 import dataclasses
 import enum
 
+LOOK_AHEAD = 10  # l, in reach iterations: how far on a gain is predicted, and help is judged
+
 
 class Status(enum.StrEnum):
     """How a task ended. Failure is data: nothing raises."""
