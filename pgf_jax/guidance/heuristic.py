@@ -66,6 +66,9 @@ HALF_CLOSED, AHEAD = 0.055, 0.067  # the closed hand: half its breadth, its reac
 DISTANCES = (0.06, 0.10, 0.15, 0.20)  # m
 DIRECTIONS = 16
 FRONT_MOST = 0.28  # m, x of targets: an object that the retreat drags off the front costs (c_e)
+# Corners, m, of where targets may be: clear of the walls by a little more than the object's radius.
+TARGETS_LOW = np.array([FRONT_MOST, -(SIDE_WALL_Y - 1.6 * RADIUS)])
+TARGETS_HIGH = np.array([BACK_WALL_X - 1.6 * RADIUS, SIDE_WALL_Y - 1.6 * RADIUS])
 
 
 class HeuristicOperator:
@@ -198,8 +201,6 @@ def candidates(view: View) -> tuple[np.ndarray, np.ndarray]:
     steps = np.array([[d * np.cos(a), d * np.sin(a)] for d in DISTANCES for a in angles])
     pushed = np.repeat(np.arange(n), len(steps))
     targets = view.objects[pushed] + np.tile(steps, (n, 1))
-    x, y = targets.T
-    room = 1.6 * RADIUS
-    deep = (x > FRONT_MOST) & (x < BACK_WALL_X - room)
-    keep = deep & (np.abs(y) < SIDE_WALL_Y - room) & (pushed != view.goal)
+    allowed = ((targets > TARGETS_LOW) & (targets < TARGETS_HIGH)).all(1)
+    keep = allowed & (pushed != view.goal)
     return pushed[keep], targets[keep]

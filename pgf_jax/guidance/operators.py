@@ -139,11 +139,18 @@ def _clairvoyant() -> AnyOperator:
     return clairvoyant()
 
 
+def _noisy() -> AnyOperator:
+    from pgf_jax.guidance.noisy import NoisyOperator
+
+    return NoisyOperator()
+
+
 _OPERATORS: dict[str, Callable[[], AnyOperator]] = {
     "none": NoOperator,
     "heuristic": _heuristic,
     "oracle": _oracle,
     "clairvoyant": _clairvoyant,
+    "noisy": _noisy,
 }
 
 
