@@ -25,6 +25,10 @@ class EventKind(enum.StrEnum):
     TASK_END = "task_end"  # outcome: the Status
 
 
+# What ends the waiting that a BID begins (a grant goes on to its SERVICE_END).
+ENDS_OF_WAITING = frozenset({EventKind.GRANT, EventKind.REFUSED, EventKind.EXPIRED})
+
+
 class Event(NamedTuple):
     """One row. What does not apply is None.
 

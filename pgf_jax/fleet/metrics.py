@@ -8,6 +8,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 
@@ -94,16 +95,21 @@ class CellSummary:
     window_size_max: int
 
     def row(self) -> dict[str, str | int | float]:
-        """Flat, for a table: an interval becomes NAME, NAME_low, NAME_high and NAME_n."""
-        row: dict[str, str | int | float] = {}
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, Interval):
-                row[field.name] = value.mean
-                row |= {f"{field.name}_{k}": getattr(value, k) for k in ("low", "high", "n")}
-            else:
-                row[field.name] = value
-        return row
+        """Flat, for a table."""
+        return flat_row(self)
+
+
+def flat_row(summary: Any) -> dict[str, str | int | float]:
+    """A dataclass as a row of a table; an interval becomes NAME, NAME_low, NAME_high and NAME_n."""
+    row: dict[str, str | int | float] = {}
+    for field in dataclasses.fields(summary):
+        value = getattr(summary, field.name)
+        if isinstance(value, Interval):
+            row[field.name] = value.mean
+            row |= {f"{field.name}_{k}": getattr(value, k) for k in ("low", "high", "n")}
+        else:
+            row[field.name] = value
+    return row
 
 
 def summarise(

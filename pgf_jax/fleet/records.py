@@ -6,7 +6,7 @@ import math
 
 from pgf_jax.fleet.policies import Progress
 from pgf_jax.fleet.robots import IterationResult
-from pgf_jax.planning.types import Push, Status
+from pgf_jax.planning.types import LOOK_AHEAD, Push, Status
 
 NO_TERMS = (math.nan, math.nan, math.nan)
 
@@ -52,6 +52,12 @@ class TaskRecord:
       first_bid, first_grant: reach iterations at the first of each, or None.
       grants_at: reach iterations at each grant.
       successful_grants_at: the same, for grants whose push succeeded.
+      asked_cost: for each answered input, the total cost of the best reach trajectory when it was
+        given; nan where nothing had been rolled out yet (`always`).
+      helped_cost: for each answered input, the total cost of the best reach trajectory after the
+        last reach iteration, iteration 0s included, that ended within the next `LOOK_AHEAD` reach
+        iterations, before the next answered input and before the task's end; nan where none did.
+        After a push that was dropped it is the cost of the reach that restarted.
       cost, terms: total and (c_d, c_f, c_b) of the best reach trajectory after the last reach
         iteration that has ended; nan before the first.
       non_finite: iterations in which some rollout's cost was not finite.
@@ -80,6 +86,8 @@ class TaskRecord:
     first_grant: int | None
     grants_at: tuple[int, ...]
     successful_grants_at: tuple[int, ...]
+    asked_cost: tuple[float, ...]
+    helped_cost: tuple[float, ...]
     cost: float
     terms: tuple[float, float, float]
     non_finite: int
@@ -116,6 +124,9 @@ class Run:
     first_bid: int | None = None
     grants_at: list[int] = dataclasses.field(default_factory=list)
     successful_grants_at: list[int] = dataclasses.field(default_factory=list)
+    asked_cost: list[float] = dataclasses.field(default_factory=list)
+    helped_cost: list[float] = dataclasses.field(default_factory=list)
+    helped_until: int = 0  # reach iterations that still count for the last entry of `helped_cost`
     last_reach: IterationResult | None = None
     non_finite: int = 0
 
@@ -144,6 +155,15 @@ class Run:
         self.non_finite += result.non_finite
         if self.push is None:
             self.last_reach = result
+            if self.helped_cost and self.reach_iterations <= self.helped_until:
+                self.helped_cost[-1] = result.cost
+
+    def answer(self) -> None:
+        """Book an input that is given now: the cost before it, and that those after it count."""
+        self.answered += 1
+        self.asked_cost.append(self.last_reach.cost if self.last_reach else math.nan)
+        self.helped_cost.append(math.nan)
+        self.helped_until = self.reach_iterations + LOOK_AHEAD
 
     def progress(self, now_ns: int) -> Progress:
         """What a policy may know."""
@@ -196,6 +216,8 @@ class Run:
             first_grant=self.grants_at[0] if self.grants_at else None,
             grants_at=tuple(self.grants_at),
             successful_grants_at=tuple(self.successful_grants_at),
+            asked_cost=tuple(self.asked_cost),
+            helped_cost=tuple(self.helped_cost),
             cost=self.last_reach.cost if self.last_reach else math.nan,
             terms=self.last_reach.terms if self.last_reach else NO_TERMS,
             non_finite=self.non_finite,

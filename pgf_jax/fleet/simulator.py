@@ -207,7 +207,7 @@ class Fleet:
             self._log(EventKind.SERVICE_END, run, outcome="expired", **ending)
             self._end_task(run, run.failure())
         else:
-            run.answered += 1
+            run.answer()
             if push is not None:
                 ending |= {"object": push.object, "x": push.x, "y": push.y}
             self._log(EventKind.SERVICE_END, run, outcome="push" if push else "go_on", **ending)

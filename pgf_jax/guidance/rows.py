@@ -25,9 +25,9 @@ import polars as pl
 
 from pgf_jax.errors import BadInput
 from pgf_jax.guidance.runs import RUN, check_unhelped
+from pgf_jax.planning.types import LOOK_AHEAD
 
 HISTORY = 3  # P
-LOOK_AHEAD = 10  # l, in reach iterations
 FEATURES = (
     "n_objects",
     *(f"{term}[t-{age}]" for age in reversed(range(HISTORY)) for term in ("c_d", "c_f", "c_b")),

@@ -50,6 +50,8 @@ _OTHER_TYPES: dict[str, dict[str, pl.DataType]] = {
     "first_grant": {"first_grant": pl.Int64()},
     "grants_at": {"grants_at": pl.List(pl.Int64())},
     "successful_grants_at": {"successful_grants_at": pl.List(pl.Int64())},
+    "asked_cost": {"asked_cost": pl.List(pl.Float64())},
+    "helped_cost": {"helped_cost": pl.List(pl.Float64())},
     "terms": {"c_d": pl.Float64(), "c_f": pl.Float64(), "c_b": pl.Float64()},
 }
 TASK_SCHEMA: dict[str, pl.DataType] = {
@@ -62,6 +64,8 @@ TASK_SCHEMA: dict[str, pl.DataType] = {
 MERGED_TASK_SCHEMA = _CELL_COLUMNS | TASK_SCHEMA
 MERGED_EVENT_SCHEMA = _CELL_COLUMNS | EVENT_SCHEMA
 _TERMS = ("c_d", "c_f", "c_b")
+_COUNTS = ("grants_at", "successful_grants_at")
+_COSTS = ("asked_cost", "helped_cost")
 
 
 # -- rows --------------------------------------------------------------------------------------
@@ -81,7 +85,8 @@ def tasks_frame(
         row = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
         row |= dict(zip(_TERMS, row.pop("terms"), strict=True))
         row |= {name: _null(row[name]) for name in ("cost", *_TERMS)}
-        row |= {name: list(row[name]) for name in ("grants_at", "successful_grants_at")}
+        row |= {name: list(row[name]) for name in _COUNTS}
+        row |= {name: list(map(_null, row[name])) for name in _COSTS}
         rows.append(row | {"status": record.status.value, "scene": scene_name(*_key(record))})
     return pl.DataFrame(rows, schema=TASK_SCHEMA)
 
@@ -94,7 +99,8 @@ def task_records(tasks: pl.DataFrame) -> list[TaskRecord]:
         row["terms"] = tuple(map(_nan, terms))
         row["cost"] = _nan(row["cost"])
         row["status"] = Status(row["status"])
-        row |= {name: tuple(row[name]) for name in ("grants_at", "successful_grants_at")}
+        row |= {name: tuple(row[name]) for name in _COUNTS}
+        row |= {name: tuple(map(_nan, row[name])) for name in _COSTS}
         records.append(TaskRecord(**row))
     return records
 
@@ -275,8 +281,9 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
       BadInput: one line that names the file: missing, truncated, corrupt or not an object.
     """
+    data = _read(path)  # its BadInput is a ValueError too
     try:
-        content = json.loads(_read(path))
+        content = json.loads(data)
     except ValueError as error:
         raise BadInput(f"{path}: truncated or corrupt, not JSON ({error})") from error
     if not isinstance(content, dict):

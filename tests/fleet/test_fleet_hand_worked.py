@@ -77,6 +77,8 @@ def test_a_push_from_bid_to_solution():
             first_grant=1,
             grants_at=(1,),
             successful_grants_at=(1,),
+            asked_cost=(100.0,),
+            helped_cost=(10.0,),
             cost=10.0,
             terms=(10.0, 0.0, 0.0),
             non_finite=0,

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from pgf_jax.fleet import EventKind, Fleet, FleetConfig, IterationResult, Work, WorkKind
 from pgf_jax.fleet.clock import nanoseconds
+from pgf_jax.fleet.identities import verify
 from pgf_jax.fleet.metrics import busy_ns
 from pgf_jax.fleet.policies import policy_names
 from pgf_jax.fleet.stub import StubRobots, drive
@@ -70,50 +71,26 @@ def test_sample_path_identities(config, seed):
     events, records = fleet.events, fleet.records
     assert [event.time_ns for event in events] == sorted(event.time_ns for event in events)
 
-    # Every ask ends in exactly one way; at most one ask of a robot is open at a time.
+    # At most one ask of a robot is open at a time, and an operator serves one robot at a time.
     ends = {EventKind.REFUSED, EventKind.EXPIRED, EventKind.SERVICE_END}
-    open_asks, tally = set(), collections.Counter()
+    open_asks, serving = set(), {}
     for event in events:
         if event.kind is EventKind.BID:
             assert event.robot not in open_asks
             open_asks.add(event.robot)
-            tally["asked"] += 1
         elif event.kind in ends:
             open_asks.remove(event.robot)
-            name = "refused" if event.kind is EventKind.REFUSED else str(event.outcome)
-            tally[
-                {"limit": "expired", "push": "answered", "go_on": "answered"}.get(name, name)
-            ] += 1
-    assert not open_asks
-    assert tally["asked"] == sum(tally[k] for k in ("answered", "refused", "expired", "censored"))
-    assert tally["asked"] == sum(record.requests for record in records)
-    assert tally["answered"] == sum(record.answered for record in records)
-    assert tally["refused"] == sum(record.refusals for record in records)
-    assert tally["expired"] == sum(record.expired for record in records)
-
-    # Little's law on the sample path: the area under the number waiting is the sum of the waits,
-    # and that under the number of busy operators the sum of the services.
-    waiting_area = served_area = 0
-    waiting, serving, before = 0, {}, 0
-    for event in events:
-        waiting_area += waiting * (event.time_ns - before)
-        served_area += len(serving) * (event.time_ns - before)
-        before = event.time_ns
-        if event.kind is EventKind.BID:
-            waiting += 1
-        elif event.kind in (EventKind.GRANT, EventKind.REFUSED, EventKind.EXPIRED):
-            waiting -= 1
         if event.kind is EventKind.GRANT:
             assert event.operator not in serving
             assert event.operator in range(config.operators)
             serving[event.operator] = event.robot
         elif event.kind is EventKind.SERVICE_END:
             assert serving.pop(event.operator) == event.robot
-    assert waiting == 0
+    assert not open_asks
     assert not serving
-    assert waiting_area == sum(round(record.waiting_s * 1e9) for record in records)
-    assert served_area == sum(round(record.interaction_s * 1e9) for record in records)
-    assert served_area == busy_ns(events)
+
+    assert verify(config, records, events) == 18 + 3 * config.robots + 2 * len(records)
+    assert busy_ns(events) == sum(nanoseconds(record.interaction_s) for record in records)
 
 
 @settings(max_examples=150, deadline=None)

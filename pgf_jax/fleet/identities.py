@@ -1,0 +1,254 @@
+"""Sample-path identities (D9): what must hold in every fleet that is done, in whole numbers.
+
+Each side of an identity comes by another way, mostly one from the event log and one from the task
+records, so that an error in either shows. They hold exactly: the clock counts whole nanoseconds,
+and what the horizon cuts off is a term of its own.
+"""
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+
+from pgf_jax.fleet.clock import nanoseconds
+from pgf_jax.fleet.config import FleetConfig
+from pgf_jax.fleet.events import ENDS_OF_WAITING, Event, EventKind
+from pgf_jax.fleet.metrics import window_sizes
+from pgf_jax.fleet.policies import Discipline, make_policy
+from pgf_jax.fleet.records import TaskRecord
+
+
+def verify(config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]) -> int:
+    """Check all identities of one fleet.
+
+    Returns:
+      How many were checked.
+
+    Raises:
+      ValueError: one line that names the first one that fails, and its two sides.
+    """
+    identities = check_identities(config, records, events)
+    for name, (left, right) in identities.items():
+        if left != right:
+            raise ValueError(f"{config.policy}, R = {config.robots}: {name}: {left} is not {right}")
+    return len(identities)
+
+
+def check_identities(
+    config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
+) -> dict[str, tuple[int, int]]:
+    """The two sides of every identity; they are equal unless something is wrong.
+
+    Records hold times as floats in s. Rounded to ns they are exact: such a float is the nearest one
+    to a whole number of ns over 1e9, and times 1e9 it is off by less than half a ns as long as the
+    time is below 2^51 ns, 26 days of simulated time.
+
+    Args:
+      config: the fleet's.
+      records: its task records, in any order.
+      events: its event log, in order.
+
+    Returns:
+      name -> (left, right), in ns or as a count.
+    """
+    return (
+        _asks(records, events)
+        | _windows(config, records, events)
+        | _areas(records, events)
+        | _robots(config, records, events)
+        | _tasks(records, events)
+    )
+
+
+# -- counts ------------------------------------------------------------------------------------
+
+_ENDS_OF_ASKS = {EventKind.REFUSED, EventKind.EXPIRED, EventKind.SERVICE_END}
+_OUTCOMES = {
+    "busy": "refused",
+    "lost": "refused",
+    "limit": "expired",
+    "expired": "expired",
+    "push": "answered",
+    "go_on": "answered",
+    "censored": "censored",
+}
+
+
+def _asks(records: Sequence[TaskRecord], events: Sequence[Event]) -> dict[str, tuple[int, int]]:
+    """Asks = answered + refused + expired + cut off by the horizon, in events and in records."""
+    kinds = Counter(event.kind for event in events)
+    ends = Counter(_OUTCOMES[str(e.outcome)] for e in events if e.kind in _ENDS_OF_ASKS)
+    answered, refused, expired = (
+        sum(getattr(record, name) for record in records)
+        for name in ("answered", "refusals", "expired")
+    )
+    requests = sum(record.requests for record in records)
+    asks = kinds[EventKind.BID]
+    return {
+        "asks = answered + refused + expired + cut off, of events": (asks, ends.total()),
+        "asks, of events and of records": (asks, requests),
+        "answered, of events and of records": (ends["answered"], answered),
+        "refused, of events and of records": (ends["refused"], refused),
+        "expired, of events and of records": (ends["expired"], expired),
+        # Records do not count them: they are what remains of the asks there.
+        "asks cut off, of events and of records": (
+            ends["censored"],
+            requests - answered - refused - expired,
+        ),
+        "grants, of events and of records": (
+            kinds[EventKind.GRANT],
+            sum(record.grants for record in records),
+        ),
+        "grants = ends of services": (kinds[EventKind.GRANT], kinds[EventKind.SERVICE_END]),
+        "starts of tasks = records": (kinds[EventKind.TASK_START], len(records)),
+        "ends of tasks = records": (kinds[EventKind.TASK_END], len(records)),
+    }
+
+
+def _windows(
+    config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
+) -> dict[str, tuple[int, int]]:
+    """What enters a window leaves it: as winner, loser, expired or cut off by the horizon."""
+    length_ns = nanoseconds(config.window_s)
+    inside: set[int | None] = set()  # robots whose bid is in the window, until its end is logged
+    is_open, opened_ns, lengths_ns, wait_ns = False, 0, 0, 0
+    bids = closed = cut = 0
+    for event in events:
+        if event.kind is EventKind.WINDOW_OPEN:
+            is_open, opened_ns = True, event.time_ns
+            # One that would close after the horizon is cut off there; one at the horizon is not.
+            end_ns = event.time_ns + length_ns
+            cut += config.horizon_s is not None and end_ns > nanoseconds(config.horizon_s)
+        elif event.kind is EventKind.WINDOW_CLOSE:
+            is_open = False
+            closed += 1
+            lengths_ns += event.time_ns - opened_ns
+        elif event.kind is EventKind.BID and is_open:
+            bids += 1
+            inside.add(event.robot)
+            wait_ns -= event.time_ns
+        elif event.kind in ENDS_OF_WAITING and event.robot in inside:
+            inside.remove(event.robot)
+            wait_ns += event.time_ns
+    kinds = Counter(event.kind for event in events)
+    lost = sum(event.outcome == "lost" for event in events)
+    # Where there are windows, all that is granted was won in one and all that expires was in one.
+    windows = make_policy(config).discipline is Discipline.WINDOW
+    decided = kinds[EventKind.GRANT] + lost if windows else 0
+    expired = kinds[EventKind.EXPIRED] if windows else 0
+    return {
+        "bids in windows = winners + losers + expired + cut off": (
+            bids,
+            decided + expired,
+        ),
+        "bids in windows at their close = winners + losers": (
+            sum(window_sizes(events)),
+            decided,
+        ),
+        "windows opened = closed + cut off": (kinds[EventKind.WINDOW_OPEN], closed + cut),
+        "time of closed windows = their number times T_window": (
+            lengths_ns,
+            closed * length_ns,
+        ),
+        "waiting in windows, of events and of records": (
+            wait_ns,
+            sum(nanoseconds(record.window_wait_s) for record in records),
+        ),
+    }
+
+
+# -- times -------------------------------------------------------------------------------------
+
+
+def _areas(records: Sequence[TaskRecord], events: Sequence[Event]) -> dict[str, tuple[int, int]]:
+    """L T = sum of waits (Little's law on the sample path), and busy time = sum of services."""
+    waiting_ns = sum(nanoseconds(record.waiting_s) for record in records)
+    served_ns = sum(nanoseconds(record.interaction_s) for record in records)
+    busy_ns = _integral(events, EventKind.GRANT, {EventKind.SERVICE_END})
+    services_ns = sum(_durations(events, EventKind.GRANT, {EventKind.SERVICE_END}).values())
+    return {
+        "integral of the number waiting = waiting of records": (
+            _integral(events, EventKind.BID, ENDS_OF_WAITING),
+            waiting_ns,
+        ),
+        "integral of the number of busy operators = services": (busy_ns, services_ns),
+        "integral of the number of busy operators = interaction of records": (busy_ns, served_ns),
+    }
+
+
+def _robots(
+    config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
+) -> dict[str, tuple[int, int]]:
+    """Each robot's tasks take all its time, and its waits and services are its own."""
+    makespan: Counter[int | None] = Counter()
+    for event in events:
+        if event.kind is EventKind.TASK_END:  # the last one of a robot stays; all start at 0
+            makespan[event.robot] = event.time_ns
+    waits = _durations(events, EventKind.BID, ENDS_OF_WAITING)
+    services = _durations(events, EventKind.GRANT, {EventKind.SERVICE_END})
+    spent, waited, served = Counter(), Counter(), Counter()
+    for record in records:
+        spent[record.robot] += _spent_ns(record)
+        waited[record.robot] += nanoseconds(record.waiting_s)
+        served[record.robot] += nanoseconds(record.interaction_s)
+    found = {}
+    for robot in range(config.robots):
+        found[f"time of robot {robot}'s tasks = its makespan"] = spent[robot], makespan[robot]
+        found[f"waits of robot {robot} = waiting of its records"] = waits[robot], waited[robot]
+        found[f"services of robot {robot} = interaction of its records"] = (
+            services[robot],
+            served[robot],
+        )
+    return found
+
+
+def _tasks(records: Sequence[TaskRecord], events: Sequence[Event]) -> dict[str, tuple[int, int]]:
+    """Planning + waiting in line + interaction + execution = end - start, task by task."""
+    lasted: Counter[tuple[int | None, int | None]] = Counter()
+    for event in events:
+        if event.kind is EventKind.TASK_START:
+            lasted[event.robot, event.task] -= event.time_ns
+        elif event.kind is EventKind.TASK_END:
+            lasted[event.robot, event.task] += event.time_ns
+    found = {}
+    for record in sorted(records, key=lambda record: (record.robot, record.task)):
+        name = f"task {record.robot}.{record.task}"
+        duration = record.end_ns - record.start_ns
+        found[f"planning + line + interaction + execution of {name} = its time"] = (
+            _spent_ns(record),
+            duration,
+        )
+        found[f"time of {name}, of events and of its record"] = (
+            lasted[record.robot, record.task],
+            duration,
+        )
+    return found
+
+
+def _spent_ns(record: TaskRecord) -> int:
+    """A task's time by what it was spent on, ns. Planning time includes waiting in windows."""
+    line_ns = nanoseconds(record.waiting_s) - nanoseconds(record.window_wait_s)
+    others = (record.planning_time_s, record.interaction_s, record.execution_s)
+    return line_ns + sum(map(nanoseconds, others))
+
+
+def _integral(events: Sequence[Event], begin: EventKind, ends: Collection[EventKind]) -> int:
+    """Integral over time of how many are between a `begin` and one of the `ends`, ns."""
+    area = number = before_ns = 0
+    for event in events:
+        area += number * (event.time_ns - before_ns)
+        before_ns = event.time_ns
+        number += (event.kind is begin) - (event.kind in ends)
+    return area
+
+
+def _durations(
+    events: Sequence[Event], begin: EventKind, ends: Collection[EventKind]
+) -> Counter[int | None]:
+    """Robot -> sum of its times from each `begin` to the end that follows, ns."""
+    # Ends minus beginnings: an event that is missing gives a wrong sum and not an exception.
+    sums: Counter[int | None] = Counter()
+    for event in events:
+        if event.kind is begin:
+            sums[event.robot] -= event.time_ns
+        elif event.kind in ends:
+            sums[event.robot] += event.time_ns
+    return sums
