@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pgf_jax.study.plan_file import load_plan as load_plan
     from pgf_jax.study.plan_file import save_plan as save_plan
     from pgf_jax.study.sweep import sweep as sweep
+    from pgf_jax.study.sweep import sweeps as sweeps
     from pgf_jax.study.sweep_config import SweepConfig as SweepConfig
 
 _MODULES = {
@@ -54,6 +55,7 @@ _MODULES = {
     "sample_scene": "scene.sampling",
     "save_plan": "study.plan_file",
     "sweep": "study.sweep",
+    "sweeps": "study.sweep",
     "train": "guidance.training",
 }
 

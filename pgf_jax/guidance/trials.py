@@ -7,7 +7,7 @@ the robots that plan meanwhile, into the same calls of the engine (D8).
 
 import dataclasses
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Hashable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,7 +42,15 @@ class Gain(NamedTuple):
     state: np.ndarray  # [S], see `guidance.state`
 
 
-Request = Step | Retreat | Gain
+class Once(NamedTuple):
+    """What others may ask for as well: the first who does has it made, all are sent the result."""
+
+    kept: dict[Hashable, Any]  # whoever answers keeps results here, and who waits for them
+    label: Hashable
+    make: "Callable[[], Deliberation]"
+
+
+Request = Step | Retreat | Gain | Once
 Deliberation = Generator[list[Request], list[Any], Any]
 Words = Callable[[int], tuple[int, int, int, int, int]]
 

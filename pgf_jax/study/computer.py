@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgf_jax.guidance.trials import Deliberation, Gain, Request, Retreat, Step
+from pgf_jax.guidance.trials import Deliberation, Gain, Once, Request, Retreat, Step
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import Engine, make_engine
 from pgf_jax.planning.config import Cost
@@ -35,6 +35,7 @@ class Computer:
     def __init__(self, engine: Engine, config: PlannerConfig | None = None) -> None:
         self.engine = engine
         self.planner = BatchPlanner(engine, config)
+        self.steps = 0  # iterations computed
         self.calls = 0  # iteration calls made
         self.lanes_used = 0  # lanes in them that held work
         self.saturated = 0  # rollouts in which contacts may have been dropped (no slot left)
@@ -81,6 +82,7 @@ class Computer:
 
     def _iterate(self, steps: Sequence[Step]) -> list[Any]:
         self.calls += 1
+        self.steps += len(steps)
         self.lanes_used += len(steps)
         words = [step.words for step in steps]
         words += [words[0]] * (self.engine.lanes - len(steps))
@@ -95,6 +97,14 @@ class _Job:
         self.deliberation, self.done = deliberation, done
         self.answers: list[Any] = []
         self.missing = 0
+
+
+class _Shared:
+    """The result of a `Once`, and who waits for it."""
+
+    def __init__(self) -> None:
+        self.there, self.value = False, None
+        self.waiting: list[tuple[_Job, int]] = []
 
 
 class Queue:
@@ -124,23 +134,53 @@ class Queue:
     def _answer(self, batch: list[tuple[_Job, int, Request]]) -> None:
         results = self._computer.compute([request for *_, request in batch])
         for (job, place, _), result in zip(batch, results, strict=True):
-            job.answers[place] = result
-            job.missing -= 1
-            if not job.missing:
-                self._resume(job, job.answers)
+            self._tell(job, place, result)
+
+    def _tell(self, job: _Job, place: int, result: Any) -> None:
+        job.answers[place] = result
+        job.missing -= 1
+        if not job.missing:
+            self._resume(job, job.answers)
 
     def _resume(self, job: _Job, answers: list[Any] | None) -> None:
-        try:
-            requests = job.deliberation.send(answers)  # pyright: ignore[reportArgumentType]
-            while not requests:
-                requests = job.deliberation.send([])
-        except StopIteration as end:
-            job.done(end.value)
-            return
-        job.answers, job.missing = [None] * len(requests), len(requests)
-        for place, request in enumerate(requests):
+        while True:
+            try:
+                requests = job.deliberation.send(answers)  # pyright: ignore[reportArgumentType]
+            except StopIteration as end:
+                job.done(end.value)
+                return
+            # One more is missing until all are asked, so that none goes on from within the loop.
+            job.answers, job.missing = [None] * len(requests), len(requests) + 1
+            for place, request in enumerate(requests):
+                self._ask(job, place, request)
+            job.missing -= 1
+            if job.missing:
+                return
+            answers = job.answers
+
+    def _ask(self, job: _Job, place: int, request: Request) -> None:
+        if isinstance(request, Once):
+            self._ask_once(job, place, request)
+        else:
             line = self._steps if isinstance(request, Step) else self._others
             line.append((job, place, request))
+
+    def _ask_once(self, job: _Job, place: int, request: Once) -> None:
+        shared = request.kept.get(request.label)
+        if shared is None:
+            shared = request.kept[request.label] = _Shared()
+            shared.waiting.append((job, place))
+            self.add(request.make(), functools.partial(self._keep, shared))
+        elif shared.there:
+            self._tell(job, place, shared.value)
+        else:
+            shared.waiting.append((job, place))
+
+    def _keep(self, shared: _Shared, result: Any) -> None:
+        shared.there, shared.value = True, result
+        waiting, shared.waiting = shared.waiting, []
+        for job, place in waiting:
+            self._tell(job, place, result)
 
 
 def planning_computer(config: Planning, n_objects: int) -> Computer:

@@ -1,7 +1,8 @@
 """The robots of the fleets of one process: planners, operators and predictors behind `Work`.
 
-A `Crew` is one fleet's robots (`fleet.Robots`). What they ask of the `Computer` that all crews of
-the process share goes through its `Queue`.
+A `Crew` is one fleet's robots (`fleet.Robots`). Each of them stands at a node of its task's tree
+(`trees.py`); what it asks of the `Computer` that all crews of the process share goes through its
+`Queue`.
 """
 
 import dataclasses
@@ -12,19 +13,19 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from pgf_jax.errors import BadInput
 from pgf_jax.fleet.robots import IterationResult, Work, WorkKind
 from pgf_jax.fleet.simulator import Fleet
 from pgf_jax.guidance import trials
-from pgf_jax.guidance.operators import AnyOperator, View, consult
+from pgf_jax.guidance.operators import At, View, consult
 from pgf_jax.guidance.runs import RunLog
 from pgf_jax.guidance.state import describe
 from pgf_jax.guidance.trials import Bidder, Deliberation
-from pgf_jax.physics.engine import World
-from pgf_jax.planning.planner import Search, start_world
+from pgf_jax.guidance.true_gain import TrueGain
+from pgf_jax.planning.planner import Search
 from pgf_jax.planning.types import Push
 from pgf_jax.scene.scene import Scene, class_of
 from pgf_jax.study.computer import Computer, Queue
+from pgf_jax.study.trees import Node, Trees
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,27 +44,30 @@ class Robot:
 
     task: int
     scene: Scene
-    search: Search
+    at: Node
     executed: list[Segment]
     log: RunLog
-    reached_from: World | None = None  # while pushing: where reaching restarts if it is dropped
+    inputs: int = 0  # asked for so far
     dropped: int = 0  # pushes given since the shelf last changed that could not be planned
-    last_reach: Search | None = None  # while pushing: the reach that was asked about
+    reached: Node | None = None  # while pushing: the reach that was asked about
+
+    @property
+    def search(self) -> Search:
+        """The segment being planned."""
+        return self.at.search
 
     @property
     def reach(self) -> Search:
         """The reach being planned, or the one that was planned before the push under way."""
-        return self.last_reach if self.last_reach is not None else self.search
+        return (self.reached or self.at).search
 
 
 class Crew:
     """The robots of one fleet; satisfies `fleet.Robots`.
 
     Args:
-      computer: shared by all crews of the process.
-      scenes: (robot, task) -> scene.
-      operator: gives the inputs.
-      seed: of the noise.
+      trees: of the tasks; shared by the crews whose tasks, noise and operator are the same.
+      robots, tasks: how many robots, and tasks of each.
       predictor: of what robots bid; None: every gain is nan, and nobody bids one.
       on_task_end: called with (robot index, Robot) when a robot takes its next task, and by
         `finish` for the last ones.
@@ -71,54 +75,56 @@ class Crew:
 
     def __init__(
         self,
-        computer: Computer,
+        trees: Trees,
         *,
-        scenes: Callable[[int, int], Scene],
-        operator: AnyOperator,
-        seed: int,
-        predictor: Bidder | None = None,
+        robots: int = 1,
+        tasks: int = 1,
+        predictor: Bidder | TrueGain | None = None,
         on_task_end: Callable[[int, Robot], None] | None = None,
     ) -> None:
-        self.computer, self.operator, self.seed = computer, operator, seed
-        self.predictor = predictor
+        self.trees, self.computer, self.predictor = trees, trees.computer, predictor
         self.robots: dict[int, Robot] = {}
-        self._scenes, self._on_task_end = scenes, on_task_end
+        self._to_do = {robot: range(tasks) for robot in range(robots)}  # not begun yet
+        self._on_task_end = on_task_end
+        trees.join(robots, tasks)
 
     # -- fleet.Robots -----------------------------------------------------------------------------
 
     def begin(self, robot: int, task: int) -> None:
         """See `fleet.Robots.begin`."""
         self._end_task(robot)
-        scene = self._scenes(robot, task)
-        n = self.computer.engine.n_objects
-        if len(scene.objects) != n:
-            raise BadInput(
-                f"scene {scene.name}: has {len(scene.objects)} objects, the engine simulates {n}"
-            )
-        world = start_world(scene.positions)
-        log = RunLog(scene=scene.name, seed=self.seed, scene_class=class_of(scene), n_objects=n)
+        tree = self.trees.tree(robot, task)
+        self._to_do[robot] = self._to_do[robot][1:]
+        scene = tree.scene
+        log = RunLog(
+            scene=scene.name,
+            seed=self.trees.seed,
+            scene_class=class_of(scene),
+            n_objects=len(scene.objects),
+        )
         log.begin_segment("reach")
-        search = self.computer.planner.begin_reach(world, scene.goal)
-        self.robots[robot] = Robot(task, scene, search, [], log)
+        self.robots[robot] = Robot(task, scene, tree.root, [], log)
 
     def start_push(self, robot: int, push: Push) -> None:
         """See `fleet.Robots.start_push`."""
-        r = self.robots[robot]
+        r, planner = self.robots[robot], self.computer.planner
         r.log.begin_segment("push")
-        r.last_reach, r.reached_from = r.search, r.search.start
-        r.search = self.computer.planner.begin_push(r.search.start, r.scene.goal, push)
+        reach = r.reached = r.at
+        r.at = reach.after(push, lambda: planner.begin_push(reach.search.start, r.scene.goal, push))
 
     def drop_push(self, robot: int) -> None:
         """See `fleet.Robots.drop_push`."""
-        world = self.robots[robot].reached_from
-        assert world is not None, "no push to drop"
-        self.robots[robot].dropped += 1
-        self._reach_from(robot, world)
+        r, planner = self.robots[robot], self.computer.planner
+        assert r.reached is not None, "no push to drop"
+        start = r.reached.search.start
+        r.dropped += 1
+        self._reach(r, r.at.after("drop", lambda: planner.begin_reach(start, r.scene.goal)))
 
     def go_on(self, robot: int) -> None:
         """See `fleet.Robots.go_on`."""
         r = self.robots[robot]
-        r.search = self.computer.planner.go_on(r.search)
+        search = r.search
+        r.at = r.at.after("go on", lambda: self.computer.planner.go_on(search))
 
     # -- work -------------------------------------------------------------------------------------
 
@@ -132,12 +138,18 @@ class Crew:
 
     def _iterate(self, work: Work) -> Deliberation:
         r, planner = self.robots[work.robot], self.computer.planner
-        words = trials.own_words(self.seed, work.robot, work.task, work.iteration)
         before = r.search
-        (after,) = yield [trials.Step(before, words(0))]
+
+        def step() -> Deliberation:
+            words = trials.own_words(self.trees.seed, work.robot, work.task, work.iteration)
+            (after,) = yield [trials.Step(before, words(0))]
+            return Node(after)
+
+        (r.at,) = yield [r.at.once("iteration", step)]
+        after = r.search
         gain = math.nan
         if self.predictor is not None and not after.task.pushing:
-            (gain,) = yield [trials.Gain(self.predictor, describe(after))]
+            (gain,) = yield [self._gain(r, (*self._whose(work), work.iteration + 1))]
         c_d, c_f, c_b = (float(x) for x in after.value.terms[:3])
         result = IterationResult(
             feasible=planner.terminate(after),
@@ -147,23 +159,56 @@ class Crew:
             cost=float(after.value.total),
             non_finite=bool(after.non_finite > before.non_finite),
         )
-        r.search = after
         r.log.add(result.terms, feasible=result.feasible)
         return result
 
     def _retreat(self, work: Work) -> Deliberation:
-        r = self.robots[work.robot]
-        (world,) = yield [trials.Retreat(r.search)]
-        r.executed.append(self.segment(r.search))
+        r, planner = self.robots[work.robot], self.computer.planner
+        search = r.search
+
+        def retreat() -> Deliberation:
+            (world,) = yield [trials.Retreat(search)]
+            return Node(planner.begin_reach(world, r.scene.goal))
+
+        (after,) = yield [r.at.once("retreat", retreat)]
+        r.executed.append(self.segment(search))
         r.dropped = 0
-        self._reach_from(work.robot, world)
+        self._reach(r, after)
 
     def _ask(self, work: Work) -> Deliberation:
         r = self.robots[work.robot]
         r.log.input_given()
-        seen = View.of(r.search, work.request or 0, r.dropped)
-        at = (self.seed, work.robot, work.task, work.iteration)
-        return (yield from consult(self.operator, seen, r.search, self.computer.planner, at))
+        (push,) = yield [self._input(r, (*self._whose(work), work.iteration))]
+        r.inputs += 1
+        return push
+
+    # -- what follows from a node -----------------------------------------------------------------
+
+    def _whose(self, work: Work) -> tuple[int, int, int]:
+        return self.trees.seed, work.robot, work.task
+
+    def _input(self, r: Robot, at: At) -> trials.Once:
+        """What the operator would say now."""
+        search, view = r.search, View.of(r.search, r.inputs, r.dropped)
+        planner, operator = self.computer.planner, self.trees.operator
+        return r.at.once(("input", r.inputs), lambda: consult(operator, view, search, planner, at))
+
+    def _gain(self, r: Robot, at: At) -> trials.Once:
+        """What the robot may bid now."""
+        search, predictor = r.search, self.predictor
+        assert predictor is not None
+
+        def predict() -> Deliberation:
+            if isinstance(predictor, TrueGain):
+                return (
+                    yield from predictor.deliberate(
+                        search, self._input(r, at), self.computer.planner, at
+                    )
+                )
+            (gain,) = yield [trials.Gain(predictor, describe(search))]
+            return gain
+
+        return r.at.once(("gain", predictor, r.inputs), predict)
 
     def segment(self, search: Search) -> Segment:
         """The best of a search, as part of a plan."""
@@ -172,19 +217,24 @@ class Crew:
         return Segment(kind, duration, np.asarray(search.controls), np.asarray(search.gripper))
 
     def finish(self) -> None:
-        """Report the tasks that no other task follows."""
-        for robot in list(self.robots):
+        """Report the tasks that no other task follows, and leave those that will never begin."""
+        for robot, tasks in self._to_do.items():
             self._end_task(robot)
+            for task in tasks:
+                self.trees.leave(robot, task)
 
-    def _reach_from(self, robot: int, world: World) -> None:
-        r = self.robots[robot]
+    @staticmethod
+    def _reach(r: Robot, node: Node) -> None:
+        """Reach from a node: a push has been executed, or dropped."""
         r.log.begin_segment("reach")
-        r.search = self.computer.planner.begin_reach(world, r.scene.goal)
-        r.last_reach = r.reached_from = None
+        r.at, r.reached = node, None
 
     def _end_task(self, robot: int) -> None:
         ended = self.robots.pop(robot, None)
-        if ended is not None and self._on_task_end is not None:
+        if ended is None:
+            return
+        self.trees.leave(robot, ended.task)
+        if self._on_task_end is not None:
             self._on_task_end(robot, ended)
 
 
@@ -194,7 +244,7 @@ def drive(
     *,
     at_once: int | None = None,
     on_round: Callable[[], None] | None = None,
-) -> None:
+) -> int:
     """Run fleets to their ends, all their pending work in one queue.
 
     A round takes as many iterations off the queue as a call has lanes, first come first served;
@@ -205,7 +255,11 @@ def drive(
       computer: of all the crews.
       at_once: how many fleets are under way at a time; None: all.
       on_round: called after each round of calls.
+
+    Returns:
+      Iterations that robots asked for.
     """
+    iterations = 0
     waiting = iter(fleets)
     running: list[tuple[Fleet, Crew]] = []
     queue = Queue(computer)
@@ -220,6 +274,7 @@ def drive(
             # An input may be there at once, and the fleet go on with it.
             while pending := fleet.advance():
                 for work in pending:
+                    iterations += work.kind is WorkKind.ITERATION
                     queue.add(crew.perform(work), functools.partial(fleet.deliver, work))
             if fleet.done:
                 crew.finish()
@@ -227,7 +282,7 @@ def drive(
                 going.append(pair)
         running = going
         if not running:
-            return
+            return iterations
         queue.round()
         if on_round is not None:
             on_round()

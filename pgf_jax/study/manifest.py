@@ -27,6 +27,7 @@ def manifest(
     kept: Iterable[Cell],
     efforts: Iterable[Effort],
     wall_s: float,
+    together: int,
     files: Mapping[str, bytes],
 ) -> dict[str, Any]:
     """The manifest of a sweep that has ended.
@@ -36,6 +37,7 @@ def manifest(
       kept: cells that were finished before.
       efforts: one a process.
       wall_s: time of this run, s, compilation included.
+      together: sweeps that were run as one; efforts and time are of all of them.
       files: the results, by name.
     """
     config, efforts, kept = setup.config, list(efforts), set(kept)
@@ -69,8 +71,16 @@ def manifest(
         "wall_clock": {
             "wall_s": wall_s,
             "compile_s": [effort.compile_s for effort in efforts],
+            "sweeps_run_together": together,
             "note": "wall_s includes compile_s: each process's first call, with the compilation of "
-            "its programs where they were not cached; it covers the cells that were not kept",
+            "its programs where they were not cached; it covers the cells that were not kept, of "
+            "all sweeps that were run together",
+        },
+        "iterations": {
+            "of_robots": sum(e.iterations for e in efforts),
+            "computed": sum(e.steps for e in efforts),
+            "note": "computed: once for all fleets that go the same way; with those that operators "
+            "imagine",
         },
         "occupancy": {
             "calls": sum(e.calls for e in efforts),

@@ -21,6 +21,7 @@ from pgf_jax.study.computer import Computer, planning_computer
 from pgf_jax.study.crew import Crew, Robot, drive
 from pgf_jax.study.plan_config import PlanConfig
 from pgf_jax.study.plan_file import TERMS, Plan
+from pgf_jax.study.trees import Trees
 
 
 @overload
@@ -129,14 +130,8 @@ def single_robot(
       service_s: mean and standard deviation of the service time, s.
       on_end: called with the robot when the task has ended.
     """
-    crew = Crew(
-        computer,
-        scenes=lambda robot, task: scene,
-        operator=make_operator(operator),
-        seed=seed,
-        predictor=predictor,
-        on_task_end=lambda index, robot: on_end(robot),
-    )
+    trees = Trees(computer, scenes=lambda *_: scene, operator=make_operator(operator), seed=seed)
+    crew = Crew(trees, predictor=predictor, on_task_end=lambda index, robot: on_end(robot))
     config = FleetConfig(
         robots=1,
         tasks=1,

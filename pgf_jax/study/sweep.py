@@ -3,7 +3,7 @@
 import dataclasses
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,8 @@ from pgf_jax.study.figures import figure6, png
 from pgf_jax.study.manifest import manifest
 from pgf_jax.study.sweep_config import Cell, SweepConfig
 from pgf_jax.study.sweep_report import Report, summary_tables
-from pgf_jax.study.sweep_run import Effort, run_cells, run_cells_in_processes
-from pgf_jax.study.sweep_setup import Setup, identity, prepare
+from pgf_jax.study.sweep_run import Effort, Job, run_cells, run_cells_in_processes
+from pgf_jax.study.sweep_setup import Loaded, Setup, identity, prepare
 
 MANIFEST = "manifest.json"
 RESULTS = ("tasks.parquet", "events.parquet", "summary.csv", "paired.csv", "fig6.png")
@@ -53,8 +53,9 @@ class SweepResult:
 def sweep(config: SweepConfig, *, quiet: bool = False) -> SweepResult:
     """Run a sweep: every policy at every fleet size.
 
-    All cells of a process are computed in one queue of work; each is written as soon as it is
-    finished. With several workers, a script must call this under `if __name__ == "__main__"`.
+    All cells of a process are computed in one queue of work (see `sweeps`); each is written as soon
+    as it is finished. With several workers, a script must call this under
+    `if __name__ == "__main__"`.
 
     Args:
       config: what to run.
@@ -70,40 +71,76 @@ def sweep(config: SweepConfig, *, quiet: bool = False) -> SweepResult:
         of another configuration, or, on resuming, corrupt ones. Nothing has been written then.
       KeyboardInterrupt: interrupted; finished cells are kept.
     """
+    return sweeps([config], quiet=quiet)[0]
+
+
+def sweeps(
+    configs: Sequence[SweepConfig], *, quiet: bool = False, tables: bool = True
+) -> list[SweepResult]:
+    """Run several sweeps as one: calls of the engine are fuller, and nothing is computed twice.
+
+    Fleets of one seed, class and operator go the same way until somebody is served at another
+    moment (`trees.py`), so a second policy, window, service time or fleet size costs little.
+
+    Args:
+      configs: each with a folder of its own; `workers` is the largest of theirs.
+      quiet: as in `sweep`.
+      tables: show the tables at the end, unless quiet.
+
+    Returns:
+      What each found, and wrote, as if it had been run alone.
+
+    Raises:
+      BadInput: as in `sweep`; or two have the same folder.
+      KeyboardInterrupt: interrupted; finished cells are kept.
+    """
     start = time.perf_counter()
-    setup = prepare(config)
-    cells = config.cells()
-    kept = check_folder(setup)
-    _make_folder(config.out)
-    todo = [cell for cell in cells if cell not in kept]
-    with Report(cells, kept, Console(stderr=True), quiet=quiet) as report:
+    folders = [config.out.resolve() for config in configs]
+    for i, folder in enumerate(folders):
+        if folder in folders[:i]:
+            raise BadInput(f"out: {configs[i].out} is the folder of two sweeps")
+    loaded: Loaded = {}
+    setups = [prepare(config, loaded) for config in configs]
+    kept = [check_folder(setup) for setup in setups]
+    for config in configs:
+        _make_folder(config.out)
+    jobs = [Job(i, cell) for i, config in enumerate(configs) for cell in config.cells()]
+    finished = [job for job in jobs if job.cell in kept[job.sweep]]
+    workers = max((config.processes() for config in configs), default=1)
+    with Report(jobs, finished, Console(stderr=True), quiet=quiet) as report:
         try:
-            efforts = _compute(setup, todo, report)
+            todo = [job for job in jobs if job not in finished]
+            efforts = _compute(setups, todo, workers, report)
         except KeyboardInterrupt:
-            report.interrupted(config.out)
+            report.interrupted(*(config.out for config in configs))
             raise
-    outcome = _conclude(setup, kept, efforts, start)
-    if not quiet:
-        Console().print(summary_tables(outcome.summaries))
-        Console().print(
-            f"engine {config.engine}, {config.engine_lanes()} lanes; results in {config.out}",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
-        )
-    return outcome
+    outcomes = []
+    for setup, cells in zip(setups, kept, strict=True):
+        outcome = _conclude(setup, cells, efforts, time.perf_counter() - start, len(configs))
+        outcomes.append(outcome)
+        if tables and not quiet:
+            Console().print(summary_tables(outcome.summaries))
+            Console().print(
+                f"engine {setup.config.engine}, {setup.config.engine_lanes()} lanes; results in "
+                f"{setup.config.out}",
+                markup=False,
+                highlight=False,
+                soft_wrap=True,
+            )
+    return outcomes
 
 
-def _compute(setup: Setup, cells: list[Cell], report: Report) -> list[Effort]:
-    if not cells:
+def _compute(setups: list[Setup], jobs: list[Job], workers: int, report: Report) -> list[Effort]:
+    if not jobs:
         return []
-    processes = min(setup.config.processes(), len(cells))
-    if processes == 1:
-        return [run_cells(setup, cells, report)]
-    return run_cells_in_processes(setup, cells, processes, report)
+    if min(workers, len(jobs)) == 1:
+        return [run_cells(setups, jobs, report)]
+    return run_cells_in_processes(setups, jobs, workers, report)
 
 
-def _conclude(setup: Setup, kept: set[Cell], efforts: list[Effort], start: float) -> SweepResult:
+def _conclude(
+    setup: Setup, kept: set[Cell], efforts: list[Effort], wall_s: float, together: int
+) -> SweepResult:
     """Summarise from the cells' files, so that kept and computed cells are treated alike."""
     config, cells = setup.config, setup.config.cells()
     tables = {cell: results.read_cell(config.out, cell) for cell in cells}
@@ -127,7 +164,8 @@ def _conclude(setup: Setup, kept: set[Cell], efforts: list[Effort], start: float
         setup,
         kept=kept,
         efforts=efforts,
-        wall_s=time.perf_counter() - start,
+        wall_s=wall_s,
+        together=together,
         files=files,
     )
     write_atomically(config.out / MANIFEST, results.json_bytes(about))

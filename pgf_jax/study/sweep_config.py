@@ -27,12 +27,19 @@ CLOCK_S = 1e-9  # the simulated clock counts nanoseconds
 LANES = {"mjx": 8, "native": 1, "planar": 64}
 OTHER_LANES = 8
 
-# These never look at a gain.
-GAINLESS = frozenset({"autonomous", "or-hitl", "or-hitl-window", "queue", "always", "random"})
-# These are in the fleet's registry but need a number that a sweep's robots do not compute.
-_NO_NUMBER = {
-    "oracle-gain": "the true gain, which takes planning every robot's future twice",
-}
+# These need no network that predicts a gain.
+GAINLESS = frozenset(
+    {
+        "autonomous",
+        "or-hitl",
+        "or-hitl-window",
+        "queue",
+        "always",
+        "random",
+        "classifier",
+        "oracle-gain",
+    }
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,15 +94,18 @@ class SweepConfig:
       preset: quick: robots 1 and 4, 4 tasks each, pgf and or-hitl, tight scenes, none of which can
         be changed; paper: the paper's sizes, 100 tasks of 1 robot, 50 of each of 10, 20 and 30.
       robots: fleet sizes; None: the preset's, or 1 10 20 30.
-      policies: pgf, or-hitl, or-hitl-window, always, autonomous, random, queue, or a registered
-        one; None: pgf and or-hitl.
+      policies: pgf, or-hitl, or-hitl-window, always, autonomous, random, queue, classifier,
+        oracle-gain (slow: it plans every robot's future twice), or a registered one; None: pgf and
+        or-hitl.
       tasks: tasks of each robot; None: the preset's, or 10.
       seed: of scenes, planning noise, service times and ties.
       engine: physics engine: mjx, native, or a registered one.
       physics: default, or the paper's substep and the authors' softness.
       cost: cost variant: the authors' source, or the paper's text.
       update: greedy keeps an iteration's winner (the paper's); stomp blends the noise by weight.
-      scene_class: of the sampled scenes; None: tight.
+      random_winner: probability with which an iteration's winner is any of the noisy rollouts
+        instead of the cheapest: an ablation of the published source's faults.
+      scene_class: of the sampled scenes; all: the three in turn; None: tight.
       scenes: folder of scene files (*.xml) to draw the tasks from instead.
       operator: who gives the human input: heuristic, none, or another registered one.
       operators: how many people help the fleet.
@@ -129,7 +139,8 @@ class SweepConfig:
     physics: Literal["default", "paper"] = "default"
     cost: Literal["source", "paper"] = "source"
     update: Literal["greedy", "stomp"] = "greedy"
-    scene_class: Literal["tight", "medium", "wide"] | None = None
+    random_winner: float = 0.0
+    scene_class: Literal["tight", "medium", "wide", "all"] | None = None
     scenes: Path | None = None
     operator: str = "heuristic"
     operators: int = 1
@@ -156,7 +167,7 @@ class SweepConfig:
         one_of("cost", self.cost, ["source", "paper"])
         one_of("update", self.update, ["greedy", "stomp"])
         if self.scene_class is not None:
-            one_of("scene_class", self.scene_class, [*SCENE_CLASSES])
+            one_of("scene_class", self.scene_class, [*SCENE_CLASSES, "all"])
         if self.scenes is not None and self.scene_class is not None:
             raise BadInput(
                 f"scene_class: expected none beside scenes {self.scenes}, got {self.scene_class!r}"
@@ -219,8 +230,6 @@ class SweepConfig:
             whole("robots", robots, 1)
         for policy in self.policies or ():
             one_of("policies", policy, [*policy_names()])
-            if policy in _NO_NUMBER:
-                raise BadInput(f"policies: {policy} needs {_NO_NUMBER[policy]}")
 
     # -- what the fields come to ------------------------------------------------------------------
 
@@ -253,7 +262,9 @@ class SweepConfig:
 
     def planner(self) -> Planner:
         """The planner's settings."""
-        return Planner(update=self.update, cost=Cost(variant=self.cost))
+        return Planner(
+            update=self.update, cost=Cost(variant=self.cost), random_winner=self.random_winner
+        )
 
     def sampled_class(self) -> str | None:
         """The class of the sampled scenes; None where they come from files."""
@@ -264,9 +275,9 @@ class SweepConfig:
         return self.lanes if self.lanes is not None else LANES.get(self.engine, OTHER_LANES)
 
     def processes(self) -> int:
-        """Worker processes, at most one a cell."""
+        """Worker processes, if there is work for so many."""
         many = len(cores.usable()) if self.engine == "planar" else 1
-        return min(self.workers or many, len(self.cells()))
+        return self.workers or many
 
     def needs_gains(self) -> bool:
         """Whether some policy bids predicted gains; a policy of the user's own is taken to."""

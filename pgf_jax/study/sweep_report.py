@@ -17,9 +17,10 @@ from rich.progress import (
 from rich.table import Table
 
 from pgf_jax.fleet.metrics import NS_PER_HOUR, CellSummary, Interval
-from pgf_jax.study.sweep_config import Cell
+from pgf_jax.study.sweep_run import Job
 
 LINE_EVERY_S = 30.0  # where there is no terminal to draw on
+BARS = 16  # more cells than these share one bar
 
 
 class Report:
@@ -29,14 +30,14 @@ class Report:
     """
 
     def __init__(
-        self, cells: Sequence[Cell], kept: Iterable[Cell], console: Console, *, quiet: bool = False
+        self, jobs: Sequence[Job], kept: Iterable[Job], console: Console, *, quiet: bool = False
     ) -> None:
         kept = set(kept)
         self._console, self._quiet = console, quiet
-        self._tasks = {cell: cell.robots * cell.tasks for cell in cells if cell not in kept}
+        self._tasks = {job: job.cell.robots * job.cell.tasks for job in jobs if job not in kept}
         self._done = dict.fromkeys(self._tasks, 0)
         self._time_ns = dict.fromkeys(self._tasks, 0)
-        self._finished: set[Cell] = set()
+        self._finished: set[Job] = set()
         self._start = self._last = time.monotonic()
         self._first: float | None = None  # the first call has ended: nothing compiles any more
         self._live = console.is_terminal and not quiet
@@ -49,17 +50,21 @@ class Report:
             TimeRemainingColumn(),
             console=console,
         )
-        self._bars: dict[Cell, TaskID] = {}
-        if kept:
-            self._say(f"kept: {', '.join(cell.name for cell in cells if cell in kept)}")
+        self._bars: dict[Job, TaskID] = {}
+        self._several = len({job.sweep for job in jobs}) > 1
+        if len(kept) > BARS:
+            self._say(f"kept: {len(kept)} cells")
+        elif kept:
+            self._say(f"kept: {', '.join(self._name(job) for job in jobs if job in kept)}")
 
     def __enter__(self) -> "Report":
         if self._live:
             total = sum(self._tasks.values())
             self._all = self._progress.add_task("all", total=total, hours=0.0)
-            for cell, tasks in self._tasks.items():
-                label = f"{cell.policy}, R = {cell.robots}"
-                self._bars[cell] = self._progress.add_task(label, total=tasks, hours=0.0)
+            if len(self._tasks) <= BARS:
+                for job, tasks in self._tasks.items():
+                    label = f"{job.cell.policy}, R = {job.cell.robots}"
+                    self._bars[job] = self._progress.add_task(label, total=tasks, hours=0.0)
             self._progress.start()
         return self
 
@@ -67,32 +72,37 @@ class Report:
         if self._live:
             self._progress.stop()
 
-    def progress(self, cell: Cell, tasks: int, time_ns: int) -> None:
+    def progress(self, job: Job, tasks: int, time_ns: int) -> None:
         """See `Listener.progress`."""
-        self._done[cell], self._time_ns[cell] = tasks, time_ns
+        self._done[job], self._time_ns[job] = tasks, time_ns
         self._first = self._first or time.monotonic()
-        self._show(cell)
+        self._show(job)
 
-    def finished(self, cell: Cell) -> None:
+    def finished(self, job: Job) -> None:
         """See `Listener.finished`."""
         # Tasks that the horizon left unbegun are not waited for.
-        self._done[cell] = self._tasks[cell]
-        self._finished.add(cell)
-        self._show(cell)
-        if not self._live:
-            self._line(f"finished {cell.name}; ")
+        self._done[job] = self._tasks[job]
+        self._finished.add(job)
+        self._show(job)
+        if not self._live and len(self._tasks) <= BARS:
+            self._line(f"finished {self._name(job)}; ")
 
-    def interrupted(self, out: object) -> None:
+    def interrupted(self, *out: object) -> None:
         """Say what is there and how to go on."""
+        where = str(out[0]) if len(out) == 1 else f"{out[0]} .. {out[-1]}"
         self._say(
             f"interrupted: {len(self._finished)} of {len(self._tasks)} cells were finished and are "
-            f"kept in {out}; the same command with --resume computes the others"
+            f"kept in {where}; the same command with --resume computes the others"
         )
 
-    def _show(self, cell: Cell) -> None:
+    def _name(self, job: Job) -> str:
+        return f"{job.sweep}:{job.cell.name}" if self._several else job.cell.name
+
+    def _show(self, job: Job) -> None:
         if self._live:
-            hours = {c: ns / NS_PER_HOUR for c, ns in self._time_ns.items()}
-            self._progress.update(self._bars[cell], completed=self._done[cell], hours=hours[cell])
+            hours = {j: ns / NS_PER_HOUR for j, ns in self._time_ns.items()}
+            if job in self._bars:
+                self._progress.update(self._bars[job], completed=self._done[job], hours=hours[job])
             total = sum(self._done.values())
             self._progress.update(self._all, completed=total, hours=sum(hours.values()))
         elif time.monotonic() - self._last > LINE_EVERY_S:

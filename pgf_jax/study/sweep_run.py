@@ -1,13 +1,13 @@
-"""Cells of a sweep, computed: in this process, or in several that each take whole cells."""
+"""Cells of sweeps, computed: in this process, or in several that each take whole cells."""
 
 import dataclasses
-import functools
 import time
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from typing import Any, NamedTuple, Protocol
 
-from pgf_jax.fleet import Fleet, Work, WorkKind
+from pgf_jax.fleet import Fleet
 from pgf_jax.guidance.operators import make_operator
+from pgf_jax.guidance.trials import Deliberation, Step, own_words
 from pgf_jax.study.computer import Computer, Queue
 from pgf_jax.study.computer import computer as make_computer
 from pgf_jax.study.crew import Crew, drive
@@ -15,6 +15,14 @@ from pgf_jax.study.processes import Say, Stopped, run_in_processes
 from pgf_jax.study.results import events_frame, tasks_frame, write_cell
 from pgf_jax.study.sweep_config import Cell
 from pgf_jax.study.sweep_setup import Setup, identity
+from pgf_jax.study.trees import Trees
+
+
+class Job(NamedTuple):
+    """A cell of one of the sweeps that are run together."""
+
+    sweep: int  # number of its setup
+    cell: Cell
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,113 +30,176 @@ class Effort:
     """What a process took: of the wall clock, so for the manifest only.
 
     Attributes:
+      wall_s: in all, compilation included, s.
+      compile_s: time of the first call of each program, compilation included, s.
+      iterations: that robots asked for.
+      steps: iterations computed, those of the operators' trials included; fewer where fleets go
+        the same way.
       calls: of the engine, one an iteration of up to L robots.
       used: work whose result was used, in the engine's units (see `Computer.occupancy`).
       computed: work done, empty lanes included.
       saturated: rollouts with a knot end at which every contact slot was in use.
-      compile_s: time of the first call, compilation included, s.
     """
 
-    calls: int
-    used: int
-    computed: int
-    saturated: int
-    compile_s: float
+    wall_s: float = 0.0
+    compile_s: float = 0.0
+    iterations: int = 0
+    steps: int = 0
+    calls: int = 0
+    used: int = 0
+    computed: int = 0
+    saturated: int = 0
+
+    def __add__(self, other: "Effort") -> "Effort":
+        mine, theirs = dataclasses.astuple(self), dataclasses.astuple(other)
+        return Effort(*(a + b for a, b in zip(mine, theirs, strict=True)))
 
 
 class Listener(Protocol):
     """Hears how cells proceed."""
 
-    def progress(self, cell: Cell, tasks: int, time_ns: int) -> None:
+    def progress(self, job: Job, tasks: int, time_ns: int) -> None:
         """So many tasks of a cell have ended; its fleet's clock stands at `time_ns`."""
         ...
 
-    def finished(self, cell: Cell) -> None:
+    def finished(self, job: Job) -> None:
         """Its files are written."""
         ...
 
 
 def run_cells(
-    setup: Setup,
-    cells: Sequence[Cell],
+    setups: Sequence[Setup],
+    jobs: Sequence[Job],
     listener: Listener,
     *,
     stop: Callable[[], bool] = lambda: False,
 ) -> Effort:
-    """Compute cells in this process, their work in one queue; each is written when it is finished.
+    """Compute cells in this process; each is written when it is finished.
+
+    Cells whose planners are alike share a queue, and those whose tasks are, their trees.
 
     Args:
-      setup: of the sweep.
-      cells: in any company: no cell's results depend on the others.
+      setups: of the sweeps.
+      jobs: in any company: no cell's results depend on the others.
       listener: told after every call of the engine.
       stop: asked after every call whether to give up.
 
     Raises:
       Stopped: `stop` said so; finished cells have been written.
     """
-    config = setup.config
-    computer = make_computer(
-        config.engine, config.physics, config.planner(), config.engine_lanes(), setup.n_objects
-    )
-    crew = functools.partial(
-        Crew,
-        computer,
-        # Fleets of different policies ask for the same scenes: each is drawn once.
-        scenes=functools.cache(setup.scene),
-        operator=make_operator(config.operator),
-        seed=config.seed,
-    )
-    compile_s = _warm_up(computer, crew())
-    crews = [crew(predictor=setup.bidder_of(cell)) for cell in cells]
-    fleets = [Fleet(config.fleet(cell), crew) for cell, crew in zip(cells, crews, strict=True)]
-    running = dict(zip(cells, fleets, strict=True))
+    effort = Effort()
+    for alike in _grouped(jobs, lambda job: setups[job.sweep].programs()):
+        effort += _run_alike(setups, alike, listener, stop)
+    return effort
+
+
+def _run_alike(
+    setups: Sequence[Setup], jobs: Sequence[Job], listener: Listener, stop: Callable[[], bool]
+) -> Effort:
+    start = time.perf_counter()
+    computer = make_computer(*setups[jobs[0].sweep].programs())
+    trees: dict[Hashable, Trees] = {}
+    for job in jobs:
+        setup = setups[job.sweep]
+        if setup.lineage() not in trees:
+            trees[setup.lineage()] = Trees(
+                computer,
+                scenes=setup.scene,
+                operator=make_operator(setup.config.operator),
+                seed=setup.config.seed,
+            )
+    compile_s = _warm_up(computer, trees[setups[jobs[0].sweep].lineage()])
+    crews, fleets = [], []
+    for number, cell in jobs:
+        setup = setups[number]
+        crew = Crew(
+            trees[setup.lineage()],
+            robots=cell.robots,
+            tasks=cell.tasks,
+            predictor=setup.bidder_of(cell),
+        )
+        crews.append(crew)
+        fleets.append(Fleet(setup.config.fleet(cell), crew))
+    running = dict(zip(jobs, fleets, strict=True))
 
     def after_round() -> None:
-        for cell, fleet in list(running.items()):
-            listener.progress(cell, len(fleet.records), fleet.now_ns)
+        for job, fleet in list(running.items()):
+            listener.progress(job, len(fleet.records), fleet.now_ns)
             if fleet.done:
+                setup = setups[job.sweep]
                 tasks = tasks_frame(fleet.records, setup.scene_name)
                 events = events_frame(fleet.events)
-                write_cell(config.out, cell, identity(setup, cell), tasks, events)
-                listener.finished(cell)
-                del running[cell]
+                about = identity(setup, job.cell)
+                write_cell(setup.config.out, job.cell, about, tasks, events)
+                listener.finished(job)
+                del running[job]
         if running and stop():
             raise Stopped
 
-    drive(zip(fleets, crews, strict=True), computer, on_round=after_round)
+    iterations = drive(zip(fleets, crews, strict=True), computer, on_round=after_round)
     after_round()  # the last ones end without another call
-    calls = computer.calls
-    return Effort(calls, *computer.occupancy(), computer.saturated, compile_s)
+    steps, calls = computer.steps, computer.calls
+    return Effort(
+        time.perf_counter() - start,
+        compile_s,
+        iterations,
+        steps,
+        calls,
+        *computer.occupancy(),
+        computer.saturated,
+    )
 
 
-def _warm_up(computer: Computer, crew: Crew) -> float:
+def _warm_up(computer: Computer, trees: Trees) -> float:
     """One iteration for nobody, so that its compilation is not mistaken for its time; s."""
     start = time.perf_counter()
-    crew.begin(0, 0)
+    search = trees.tree(0, 0).root.search
+
+    def step() -> Deliberation:
+        yield [Step(search, own_words(trees.seed, 0, 0, 0)(0))]
+
     queue = Queue(computer)
-    queue.add(crew.perform(Work(0, 0, WorkKind.ITERATION, 0)), lambda result: None)
+    queue.add(step(), lambda result: None)
     queue.round()
     computer.occupancy()
-    computer.saturated = 0
+    computer.steps = computer.saturated = 0
     return time.perf_counter() - start
+
+
+def _grouped(items: Iterable[Any], key: Callable[[Any], Hashable]) -> list[list[Any]]:
+    """Items of one key together, in the order of their first ones."""
+    groups: dict[Hashable, list[Any]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return list(groups.values())
 
 
 # -- several processes -------------------------------------------------------------------------
 
 
-def shares(cells: Sequence[Cell], workers: int) -> list[list[Cell]]:
-    """Whole cells to each process: the largest first, to whoever has the fewest tasks so far."""
-    parts: list[list[Cell]] = [[] for _ in range(min(workers, len(cells)))]
+def shares(setups: Sequence[Setup], jobs: Sequence[Job], workers: int) -> list[list[Job]]:
+    """Whole cells to each process: the largest first, to whoever has the fewest tasks so far.
+
+    Cells that share trees stay together where there are enough such families to go round.
+    """
+    families = _grouped(jobs, lambda job: setups[job.sweep].lineage())
+    if len(families) < workers:
+        families = [[job] for job in jobs]
+
+    def tasks(family: list[Job]) -> int:
+        return sum(cell.robots * cell.tasks for _, cell in family)
+
+    parts: list[list[Job]] = [[] for _ in range(min(workers, len(families)))]
     load = [0] * len(parts)
-    for cell in sorted(cells, key=lambda cell: -cell.robots * cell.tasks):
+    for family in sorted(families, key=tasks, reverse=True):
         least = load.index(min(load))
-        parts[least].append(cell)
-        load[least] += cell.robots * cell.tasks
+        parts[least] += family
+        load[least] += tasks(family)
     return parts
 
 
 def run_cells_in_processes(
-    setup: Setup, cells: Sequence[Cell], workers: int, listener: Listener
+    setups: Sequence[Setup], jobs: Sequence[Job], workers: int, listener: Listener
 ) -> list[Effort]:
     """Compute cells in processes of their own; see `run_cells` and `run_in_processes`."""
 
@@ -136,7 +207,7 @@ def run_cells_in_processes(
         kind, content = message
         (listener.progress if kind == "progress" else listener.finished)(*content)
 
-    parts = [(setup, part) for part in shares(cells, workers)]
+    parts = [(setups, part) for part in shares(setups, jobs, workers)]
     return run_in_processes(_cells_of_a_process, parts, hear)
 
 
@@ -145,19 +216,19 @@ class _Sender:
 
     def __init__(self, say: Say) -> None:
         self._say = say
-        self._told: dict[Cell, int] = {}
+        self._told: dict[Job, int] = {}
 
-    def progress(self, cell: Cell, tasks: int, time_ns: int) -> None:
-        if self._told.get(cell) != tasks:
-            self._told[cell] = tasks
-            self._say(("progress", (cell, tasks, time_ns)))
+    def progress(self, job: Job, tasks: int, time_ns: int) -> None:
+        if self._told.get(job) != tasks:
+            self._told[job] = tasks
+            self._say(("progress", (job, tasks, time_ns)))
 
-    def finished(self, cell: Cell) -> None:
-        self._say(("finished", (cell,)))
+    def finished(self, job: Job) -> None:
+        self._say(("finished", (job,)))
 
 
 def _cells_of_a_process(
-    part: tuple[Setup, Sequence[Cell]], say: Say, stop: Callable[[], bool]
+    part: tuple[Sequence[Setup], Sequence[Job]], say: Say, stop: Callable[[], bool]
 ) -> Effort:
-    setup, cells = part
-    return run_cells(setup, cells, _Sender(say), stop=stop)
+    setups, jobs = part
+    return run_cells(setups, jobs, _Sender(say), stop=stop)

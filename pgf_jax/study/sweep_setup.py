@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import json
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from typing import Any
 
 import jax
@@ -14,15 +14,17 @@ from pgf_jax.errors import BadInput
 from pgf_jax.guidance.bidders import NETWORKS, Choice, choice
 from pgf_jax.guidance.checkpoint import PAIR, checkpoint_name, shipped_checkpoints
 from pgf_jax.guidance.predictor import Bidder
+from pgf_jax.guidance.true_gain import TrueGain
 from pgf_jax.physics.config import PHYSICS
+from pgf_jax.planning.config import Planner
 from pgf_jax.scene import Scene, load_scenes, sample_scene
-from pgf_jax.scene.sampling import OBJECTS
+from pgf_jax.scene.sampling import OBJECTS, PRESETS
 from pgf_jax.streams import stream
 from pgf_jax.study.checks import check_operator
 from pgf_jax.study.results import sha256
 from pgf_jax.study.sweep_config import Cell, SweepConfig
 
-FORMAT = 1  # of the results folder
+FORMAT = 2  # of the results folder
 PACKAGES = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "numpy")
 # Results of another release of these may differ in the last bits, and then in everything.
 _DECISIVE = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx")
@@ -48,14 +50,29 @@ class Setup:
     predictor_files: Mapping[str, Mapping[str, Any]]
     n_objects: int
 
-    def bidder_of(self, cell: Cell) -> Bidder | None:
+    def bidder_of(self, cell: Cell) -> Bidder | TrueGain | None:
         """Where the numbers come from that a cell's robots may bid; they are logged in any case."""
+        if cell.policy == "oracle-gain":
+            return TrueGain()
         return self.classifier if cell.policy == "classifier" else self.bidder
 
     def networks_of(self, cell: Cell) -> list[str]:
         """The networks in it."""
+        if cell.policy == "oracle-gain":
+            return []
         classify = cell.policy == "classifier"
         return [n for n in self.predictor_files if (n in NETWORKS["classifier"]) == classify]
+
+    def programs(self) -> tuple[str, str, Planner, int, int]:
+        """What is compiled for it: engine, physics, planner, lanes, N."""
+        c = self.config
+        return c.engine, c.physics, c.planner(), c.engine_lanes(), self.n_objects
+
+    def lineage(self) -> Hashable:
+        """What a task's tree depends on (`trees.py`)."""
+        c = self.config
+        scenes = c.sampled_class() if self.files is None else scenes_digest(self.files)
+        return self.programs(), c.seed, scenes, c.operator
 
     def scene(self, robot: int, task: int) -> Scene:
         """The scene of a task: of (seed, robot, task), whatever the policy and the fleet's size."""
@@ -68,8 +85,15 @@ class Setup:
         return _sampled_name(self.config, robot, task)
 
 
-def prepare(config: SweepConfig) -> Setup:
+Loaded = dict[Choice, tuple[Bidder, dict[str, dict[str, Any]]]]
+
+
+def prepare(config: SweepConfig, loaded: Loaded | None = None) -> Setup:
     """Load what a sweep is given, and check it.
+
+    Args:
+      config: the sweep's.
+      loaded: predictors that other sweeps of the same run have loaded; added to.
 
     Raises:
       BadInput: one line that names the field or the file.
@@ -86,15 +110,23 @@ def prepare(config: SweepConfig) -> Setup:
                     f"{config.scenes}: {scene.name} has {len(scene.objects)} objects, expected "
                     f"{n_objects} as in {files[0].name}"
                 )
+    loaded = {} if loaded is None else loaded
+
+    def load(chosen: Choice) -> tuple[Bidder, dict[str, dict[str, Any]]]:
+        if chosen not in loaded:
+            loaded[chosen] = _load(chosen)
+        return loaded[chosen]
+
     chosen = choice(config.predictor)
+    policies = {cell.policy for cell in config.cells()}
     bidder, described = None, {}
-    # Loaded for every policy: gains are logged under all of them alike.
+    # Gains are logged under all policies alike, where there are networks to predict them.
     if config.predictor != "paper" or config.needs_gains() or _shipped():
-        bidder, described = _load(chosen)
+        bidder, described = load(chosen)
     classifier = None
-    if "classifier" in {cell.policy for cell in config.cells()}:
-        classifier, more = _load(Choice("classifier", chosen.folder))
-        described |= more
+    if "classifier" in policies:
+        classifier, more = load(Choice("classifier", chosen.folder))
+        described = described | more
     return Setup(config, files, bidder, classifier, described, n_objects)
 
 
@@ -113,17 +145,24 @@ def task_scene(
     """
     if files is None:
         key = np.array([config.seed, robot, task], np.uint32)
-        preset = config.sampled_class()
-        assert preset is not None
-        return sample_scene(key, preset, name=_sampled_name(config, robot, task))
+        return sample_scene(
+            key, _class_of_task(config, robot, task), name=_sampled_name(config, robot, task)
+        )
     turn, place = divmod(task, len(files))
     # Raw bits: NumPy keeps a bit generator's output fixed for ever, but not a Generator's.
     bits = stream(config.seed, "scenes", robot, turn).bit_generator.random_raw(len(files))
     return files[int(np.argsort(bits, kind="stable")[place])]
 
 
+def _class_of_task(config: SweepConfig, robot: int, task: int) -> str:
+    name = config.sampled_class()
+    assert name is not None
+    # In turn, and shifted from robot to robot: the classes are mixed over the fleet at all times.
+    return [*PRESETS][(robot + task) % len(PRESETS)] if name == "all" else name
+
+
 def _sampled_name(config: SweepConfig, robot: int, task: int) -> str:
-    return f"{config.sampled_class()}_{config.seed}_{robot}_{task}"
+    return f"{_class_of_task(config, robot, task)}_{config.seed}_{robot}_{task}"
 
 
 def _load(chosen: Choice) -> tuple[Bidder, dict[str, dict[str, Any]]]:

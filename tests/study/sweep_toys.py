@@ -1,13 +1,18 @@
 """A world that costs nothing, for tests of what surrounds it; and small checkpoints and scenes."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import numpy as np
+import polars as pl
 
 from pgf_jax.guidance import checkpoint
+from pgf_jax.guidance.operators import register_operator
 from pgf_jax.guidance.predictor import FEATURES, combine, init
 from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, register_engine
+from pgf_jax.planning.types import Push
+from pgf_jax.study import sweep_run
 from pgf_jax.study.sweep_config import SweepConfig
 
 GRIP_SCALE = 9e3  # of the four tasks of two robots, seed 0, one times out and one ends stuck
@@ -42,6 +47,28 @@ class Ghost:
 
 
 register_engine("ghost", Ghost)
+
+
+class Nudge:
+    """Pushes an object nowhere, which succeeds at once, or far away, which never does; or goes on.
+
+    What it says depends on the shelf and on how often it was asked, so robots' ways are many.
+    """
+
+    name = "nudge"
+
+    def decide(self, view):
+        x, y = map(float, view.objects[5])
+        kind = (view.request + int(1e5 * view.objects.sum())) % 3
+        return (None, Push(5, x, y), Push(6, 0.9 * x, -y))[kind]
+
+
+register_operator("nudge", Nudge)
+
+
+def cells_of_a_process(part, say, stop):
+    """What a process of a sweep does, where the toys are known."""
+    return sweep_run._cells_of_a_process(part, say, stop)
 
 
 def ghost(out: Path, **changes) -> SweepConfig:
@@ -95,6 +122,42 @@ def write_scene(path: Path, n_objects: int = 4) -> None:
         for i in range(n_objects)
     )
     path.write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+
+
+class Ways(NamedTuple):
+    """Everything that robots did, with all that had happened in its task before; each way once."""
+
+    iterations: set  # of reaches and pushes
+    reaches: set  # with the number of inputs before it, like the following
+    gains: set  # reach iterations with a known gain
+    inputs: set
+
+
+def ways(*logs: pl.DataFrame) -> Ways:
+    """Of fleets with the same tasks, seed and operator; `logs`: the events of one each."""
+    found = Ways(set(), set(), set(), set())
+    happenings = ("iteration", "service_end", "push_dropped", "retreat_end")
+    for log in logs:
+        now: dict = {}
+        for row in log.filter(pl.col("kind").is_in(happenings)).rows(named=True):
+            task, kind = (row["robot"], row["task"]), row["kind"]
+            way, given = now.get(task, (task, 0))
+            if kind == "iteration":
+                way = (*way, kind)
+                found.iterations.add(way)
+                if row["object"] is None:
+                    found.reaches.add((way, given))
+                if row["gain"] is not None:
+                    found.gains.add((way, given))
+            elif kind != "service_end":
+                way = (*way, kind)
+            elif row["outcome"] in ("push", "go_on"):
+                found.inputs.add((way, given))
+                given += 1
+                if row["outcome"] == "push" or way != task:  # going on before planning is nothing
+                    way = (*way, (row["object"], row["x"], row["y"]))
+            now[task] = way, given
+    return found
 
 
 def content(out: Path, names=RESULTS) -> dict[str, bytes]:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pgf_jax.guidance.state import STATE, describe
-from pgf_jax.guidance.trials import Gain, Retreat, Step, attempt, own_words
+from pgf_jax.guidance.trials import Gain, Once, Retreat, Step, attempt, own_words
 from pgf_jax.study.computer import Queue
 
 
@@ -103,6 +103,176 @@ def test_a_deliberation_that_asks_nothing_ends_at_once():
     for asks in (0, 1, 3):
         queue.add(silent(asks), ended.append)
     assert ended == [0, 1, 3] and len(queue) == 0
+
+
+# -- what is made once ---------------------------------------------------------------------------
+
+
+def asking(requests):
+    """Asks for these; returns what it was sent."""
+    return (yield list(requests))
+
+
+def test_once_for_those_who_ask_at_once_under_way_and_afterwards():
+    computer, made, heard = Recorder(lanes=4), [], {}
+    queue = Queue(computer)  # pyright: ignore[reportArgumentType]
+    kept: dict = {}
+
+    def once():
+        return Once(kept, "label", lambda: made.append(1) or stepping("made", [1, 1]))
+
+    def ask(name, on=queue):
+        on.add(asking([once()]), lambda answers: heard.update({name: answers}))
+
+    result = [step("made", 0, 0), step("made", 1, 0)]
+    ask("first")
+    ask("at once")
+    assert made == [1] and len(queue) == 1
+    queue.round()
+    ask("under way")
+    assert heard == {} and len(queue) == 1
+    queue.round()
+    assert heard == {name: [result] for name in ("first", "at once", "under way")}
+    ask("afterwards")
+    assert heard["afterwards"] == [result]  # without another round
+    other = Queue(computer)  # pyright: ignore[reportArgumentType]
+    ask("elsewhere", other)
+    assert heard["elsewhere"] == [result] and len(queue) == len(other) == 0
+    assert made == [1] and sum(computer.calls, []) == result  # noqa: RUF017
+    # Another label, or the same of another node, is another thing.
+    queue.add(asking([once()._replace(label="x"), once()._replace(kept={})]), lambda _: None)
+    assert made == [1] * 3 and len(queue) == 2
+
+
+def test_what_is_made_stands_in_line_like_the_rest():
+    computer, ended = Recorder(lanes=2), []
+    queue = Queue(computer)  # pyright: ignore[reportArgumentType]
+    kept: dict = {}
+    once = Once(kept, "label", lambda: stepping("made", [1, 1]))
+    for name, requests in (("a", [step("a"), once]), ("b", [once, step("b")]), ("c", [step("c")])):
+        queue.add(asking(requests), lambda answers, name=name: ended.append((name, answers)))
+    drain(queue)
+    calls = [[request.search for request in call] for call in computer.calls if call]
+    assert calls == [[("a",), ("made", 0, 0)], [("b",), ("c",)], [("made", 1, 0)]]
+    made = [step("made", 0, 0), step("made", 1, 0)]
+    assert ended == [("c", [step("c")]), ("a", [step("a"), made]), ("b", [made, step("b")])]
+
+
+def test_what_is_made_without_any_request_is_there_at_once():
+    kept: dict = {}
+    made: list[int] = []
+
+    def nothing(value):
+        made.append(value)
+        return value
+        yield
+
+    def nested():
+        a, b = yield [Once(kept, "x", lambda: nothing(7)), Once(kept, "x", lambda: nothing(8))]
+        (c,) = yield [Once(kept, "none", lambda: nothing(None))]
+        return a, b, c
+
+    ended: list = []
+    queue = Queue(Recorder(lanes=1))  # pyright: ignore[reportArgumentType]
+    for _ in range(2):
+        queue.add(asking([Once(kept, "nested", nested)]), ended.append)
+    assert ended == [[(7, 7, None)]] * 2 and len(queue) == 0
+    assert made == [7, None]  # a result of None is a result
+
+
+def test_a_long_way_that_others_went_is_gone_without_recursion():
+    """As by a fleet that comes second: everything that it asks for is there."""
+    kept: dict = {}
+
+    def walk(steps):
+        total = 0
+        for i in range(steps):
+            (value,) = yield [Once(kept, i, lambda i=i: asking([step(i)]))]
+            total += value == [step(i)]
+        return total
+
+    ended: list = []
+    computer = Recorder(lanes=1)
+    for _ in range(2):
+        queue = Queue(computer)  # pyright: ignore[reportArgumentType]
+        queue.add(walk(3000), ended.append)
+        drain(queue)
+    assert ended == [3000, 3000] and sum(map(len, computer.calls)) == 3000
+
+
+ITEMS = st.one_of(st.just("step"), st.integers(0, 4))
+PROGRAMS = st.lists(st.lists(ITEMS, max_size=4), max_size=4)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    # What is made under a label may ask for what is made under smaller ones.
+    made=st.tuples(*(st.lists(st.lists(ITEMS, max_size=3), max_size=3) for _ in range(5))),
+    askers=st.lists(st.tuples(st.integers(0, 4), PROGRAMS), min_size=1, max_size=6),
+    lanes=st.integers(1, 5),
+)
+def test_once_against_making_everything_again(made, askers, lanes):
+    """Askers begin in different rounds; answers are those of one who makes all for itself."""
+    kept: dict = {}
+    times: list[int] = []
+
+    def allowed(program, below):
+        return [[x for x in items if x == "step" or x < below] for items in program]
+
+    programs = {label: allowed(program, label) for label, program in enumerate(made)}
+
+    def make(label):
+        times.append(label)
+        return perform(label, programs[label])
+
+    def perform(name, program):
+        heard = []
+        for k, items in enumerate(program):
+            heard += yield [
+                step(name, k, i) if x == "step" else Once(kept, x, lambda x=x: make(x))
+                for i, x in enumerate(items)
+            ]
+        return heard
+
+    def expected(name, program):
+        return [
+            step(name, k, i) if x == "step" else expected(x, programs[x])
+            for k, items in enumerate(program)
+            for i, x in enumerate(items)
+        ]
+
+    def needed(program):
+        labels = {x for items in program for x in items if x != "step"}
+        return labels.union(*(needed(programs[x]) for x in labels))
+
+    computer, results = Recorder(lanes), {}
+    queue = Queue(computer)  # pyright: ignore[reportArgumentType]
+    for now in range(5):
+        for number, (begins, program) in enumerate(askers):
+            if begins == now:
+                name = f"asker {number}"
+                queue.add(
+                    perform(name, program), lambda heard, name=name: results.update({name: heard})
+                )
+        queue.round()
+    drain(queue)
+    named = {f"asker {number}": program for number, (_, program) in enumerate(askers)}
+    assert results == {name: expected(name, program) for name, program in named.items()}
+    labels = set().union(*map(needed, named.values()))
+    assert sorted(times) == sorted(labels)
+    # And nothing else was computed, nor anything twice.
+    steps = [request.search for call in computer.calls for request in call]
+    named |= {label: programs[label] for label in labels}
+    assert sorted(map(str, steps)) == sorted(
+        str((name, k, i))
+        for name, program in named.items()
+        for k, items in enumerate(program)
+        for i, x in enumerate(items)
+        if x == "step"
+    )
+
+
+# -- company -------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

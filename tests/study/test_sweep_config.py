@@ -8,6 +8,7 @@ import pytest
 import tyro
 
 from pgf_jax.errors import BadInput
+from pgf_jax.fleet.policies import policy_names
 from pgf_jax.study.sweep_config import Cell, SweepConfig
 
 
@@ -78,13 +79,28 @@ def test_lanes_are_a_constant_of_the_engine():
 
 
 def test_planar_gets_a_process_a_core(monkeypatch):
-    """Its calls use one core; no more processes than there are cells."""
+    """Its calls use one core."""
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2})
     policies = ("pgf", "or-hitl", "always", "autonomous")
     assert SweepConfig(robots=(20,), policies=policies).processes() == 3
-    assert SweepConfig(robots=(20,), policies=("pgf",)).processes() == 1
     assert SweepConfig(robots=(20,), policies=policies, workers=2).processes() == 2
     assert SweepConfig(robots=(20,), policies=policies, engine="mjx").processes() == 1
+
+
+def test_every_policy_can_be_swept():
+    """`oracle-gain` as well, which needs no network."""
+    config = SweepConfig(policies=policy_names(), robots=(1,), tasks=1)
+    assert {"oracle-gain", "classifier", "random"} < {cell.policy for cell in config.cells()}
+    for policy in ("oracle-gain", "or-hitl"):
+        assert not SweepConfig(policies=(policy,)).needs_gains()
+    for policies in (("pgf",), ("oracle-gain", "pgf")):
+        assert SweepConfig(policies=policies).needs_gains()
+
+
+def test_a_random_winner_reaches_the_planner():
+    assert SweepConfig().planner().random_winner == 0
+    for chance in (0, 0.5, 1):
+        assert SweepConfig(random_winner=chance).planner().random_winner == chance
 
 
 @pytest.mark.parametrize(
@@ -95,9 +111,12 @@ def test_planar_gets_a_process_a_core(monkeypatch):
         ({"physics": "moon"}, "physics: expected one of default, paper, got 'moon'"),
         ({"cost": "free"}, "cost: .* got 'free'"),
         ({"update": "cem"}, "update: .* got 'cem'"),
-        ({"scene_class": "huge"}, "scene_class: expected one of tight, medium, wide, got 'huge'"),
+        ({"scene_class": "huge"}, "expected one of tight, medium, wide, all, got 'huge'"),
+        ({"random_winner": -0.1}, r"random_winner: expected a number within 0\.\.1, got -0.1"),
+        ({"random_winner": 1.5}, "random_winner: .* got 1.5"),
+        ({"random_winner": float("nan")}, "random_winner: .* got nan"),
+        ({"random_winner": 0.5, "update": "stomp"}, "random_winner: expected 0 with update stomp"),
         ({"policies": ("pgf", "best")}, "policies: expected one of pgf, .*, got 'best'"),
-        ({"policies": ("oracle-gain",)}, "policies: oracle-gain needs the true gain"),
         ({"policies": ()}, "policies: expected one or more, all different, got none"),
         ({"policies": ("pgf", "pgf")}, "policies: .* all different, got pgf pgf"),
         ({"robots": ()}, "robots: expected one or more, all different, got none"),
@@ -122,10 +141,12 @@ def test_planar_gets_a_process_a_core(monkeypatch):
         ({"compute": "cloud"}, "compute: expected dedicated, or shared:C .* got 'cloud'"),
         ({"compute": "shared:0"}, "compute: .* got 'shared:0'"),
         ({"scenes": Path("x"), "scene_class": "wide"}, "scene_class: expected none beside scenes"),
+        ({"scenes": Path("x"), "scene_class": "all"}, "scene_class: expected none beside scenes"),
         ({"preset": "quick", "robots": (1, 2)}, "robots: fixed at 1 4 by the preset quick, got 1"),
         ({"preset": "quick", "tasks": 5}, "tasks: fixed at 4 by the preset quick, got 5"),
         ({"preset": "quick", "policies": ("pgf",)}, "policies: fixed at pgf or-hitl by"),
         ({"preset": "quick", "scene_class": "wide"}, "scene_class: fixed at tight by"),
+        ({"preset": "quick", "scene_class": "all"}, "scene_class: fixed at tight by"),
         ({"preset": "quick", "scenes": Path("x")}, "scenes: the preset quick samples its own"),
     ],
 )
@@ -170,6 +191,10 @@ def test_command_line_flags():
         resume=True,
     )
     assert tyro.cli(SweepConfig, args=["--scenes", "d"]).scenes == Path("d")
+    words = ["--scene-class", "all", "--random-winner", "0.25", "--policies", "oracle-gain"]
+    assert tyro.cli(SweepConfig, args=words) == SweepConfig(
+        scene_class="all", random_winner=0.25, policies=("oracle-gain",)
+    )
 
 
 def test_every_field_has_its_help():

@@ -19,6 +19,7 @@ from pgf_jax.study import results
 from pgf_jax.study.figures import figure6, png
 from pgf_jax.study.sweep_config import Cell
 from pgf_jax.study.sweep_report import Report, summary_tables
+from pgf_jax.study.sweep_run import Job
 
 
 def run(policy="or-hitl", *, robots=1, tasks=3, iterate=None, decide=lambda work: None, **changes):
@@ -299,10 +300,10 @@ def test_summary_table_fits_a_terminal():
 def test_progress_without_a_terminal_is_lines():
     file = io.StringIO()
     console = Console(file=file, width=30)
-    cells = [Cell("pgf", 1, 4), Cell("pgf", 2, 4), Cell("always", 1, 4)]
-    with Report(cells, [cells[2]], console) as report:
-        report.progress(cells[0], 1, 1800 * 10**9)
-        report.finished(cells[1])
+    jobs = [Job(0, cell) for cell in (Cell("pgf", 1, 4), Cell("pgf", 2, 4), Cell("always", 1, 4))]
+    with Report(jobs, [jobs[2]], console) as report:
+        report.progress(jobs[0], 1, 1800 * 10**9)
+        report.finished(jobs[1])
         report.interrupted("there")
     lines = file.getvalue().splitlines()
     assert lines[0] == "kept: always_R1"
@@ -311,17 +312,35 @@ def test_progress_without_a_terminal_is_lines():
     assert "--resume" in lines[2] and len(lines) == 3
 
 
+def test_progress_of_several_sweeps_says_which():
+    file = io.StringIO()
+    cell, other = Cell("pgf", 2, 4), Cell("always", 1, 4)
+    jobs = [Job(0, cell), Job(0, other), Job(1, cell), Job(1, other)]
+    with Report(jobs, [jobs[1], jobs[3]], Console(file=file, width=30)) as report:
+        report.progress(jobs[0], 3, 1800 * 10**9)
+        report.progress(jobs[2], 1, 900 * 10**9)
+        report.finished(jobs[2])
+        report.finished(jobs[0])
+        report.interrupted("here", "there", "elsewhere")
+    lines = file.getvalue().splitlines()
+    assert lines[0] == "kept: 0:always_R1, 1:always_R1"
+    assert lines[1].startswith("finished 1:pgf_R2; 11/16 tasks, 1/2 cells, 0.75 h simulated, ")
+    assert lines[2].startswith("finished 0:pgf_R2; 16/16 tasks, 2/2 cells, 0.75 h simulated, ")
+    assert "2 of 2 cells were finished and are kept in here .. elsewhere; " in lines[3]
+    assert len(lines) == 4
+
+
 def test_progress_on_a_terminal_and_quiet():
     file, silence = io.StringIO(), io.StringIO()
     console = Console(file=file, force_terminal=True, width=100)
-    cell = Cell("pgf", 2, 4)
-    with Report([cell], [], console) as report:
-        report.progress(cell, 3, 1800 * 10**9)
-        report.finished(cell)
+    job = Job(0, Cell("pgf", 2, 4))
+    with Report([job], [], console) as report:
+        report.progress(job, 3, 1800 * 10**9)
+        report.finished(job)
     text = file.getvalue()
     assert "pgf, R = 2" in text and "8/8" in text and "0.50 h simulated" in text
     quiet = Console(file=silence, force_terminal=True)
-    with Report([cell], [cell], quiet, quiet=True) as report:
+    with Report([job], [job], quiet, quiet=True) as report:
         report.interrupted("there")
     assert silence.getvalue() == ""
 

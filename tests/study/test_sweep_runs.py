@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sweep_toys import RESULTS, content, ghost, tree, write_checkpoints, write_scene
+from sweep_toys import RESULTS, content, ghost, tree, ways, write_checkpoints, write_scene
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
@@ -18,7 +18,7 @@ from pgf_jax.study import results, sweep_setup
 from pgf_jax.study import sweep as sweep_module
 from pgf_jax.study.sweep import sweep
 from pgf_jax.study.sweep_config import Cell, SweepConfig
-from pgf_jax.study.sweep_run import run_cells_in_processes, shares
+from pgf_jax.study.sweep_run import Job, run_cells_in_processes, shares
 from pgf_jax.study.sweep_setup import identity, prepare, task_scene
 
 
@@ -153,12 +153,17 @@ def test_manifest(whole):
     assert manifest["scenes"] == {"class": "tight", "objects": 20}
     assert manifest["versions"].keys() >= {"python", "jax", "mujoco", "mujoco-mjx", "flax", "numpy"}
     assert manifest["wall_clock"]["wall_s"] > 0 and len(manifest["wall_clock"]["compile_s"]) == 1
-    # Without a horizon every iteration that was computed ended, each in a lane of its own.
-    iterations = (result.events()["kind"] == "iteration").sum()
+    # Without a horizon every iteration that was asked for ended; those of fleets that had gone the
+    # same way were computed once, each in a lane of its own.
+    iterations = manifest["iterations"]
+    assert iterations["of_robots"] == (result.events()["kind"] == "iteration").sum()
+    cells = result.events().partition_by("policy", "robots")
+    assert iterations["computed"] == len(ways(*cells).iterations) < iterations["of_robots"]
     occupancy = manifest["occupancy"]
-    assert occupancy["used"] == iterations
+    assert occupancy["used"] == iterations["computed"]
     assert occupancy["computed"] == 4 * occupancy["calls"]
-    assert occupancy["share"] == iterations / occupancy["computed"]
+    assert occupancy["share"] == iterations["computed"] / occupancy["computed"]
+    assert manifest["workers"] == manifest["wall_clock"]["sweeps_run_together"] == 1
     assert [cell["kept"] for cell in manifest["cells"]] == [False] * 4
 
 
@@ -501,6 +506,8 @@ def test_pgf_without_shipped_checkpoints(tmp_path, monkeypatch):
         ({"physics": "paper"}, r"\(substeps 36, now 250; solref_timeconst"),
         ({"cost": "paper"}, r"\(variant source, now paper\)"),
         ({"scene_class": "wide"}, r"\(scene_class tight, now wide\)"),
+        ({"scene_class": "all"}, r"\(scene_class tight, now all\)"),
+        ({"random_winner": 0.5}, r"\(random_winner 0.0, now 0.5\)"),
         (
             {"robots": (1,)},
             "results cell (autonomous|or-hitl)_R2, which this configuration has not",
@@ -568,12 +575,74 @@ def test_folder_that_cannot_be_written(tmp_path):
 # -- processes, and a real engine --------------------------------------------------------------
 
 
-def test_shares_by_hand():
+def names(parts):
+    return [[f"{job.sweep}:{job.cell.name}" for job in part] for part in parts]
+
+
+def test_shares_by_hand(tmp_path):
+    """Of one sweep: all its cells share their trees, so there are not enough families."""
+    setups = [prepare(ghost(tmp_path))]
     cells = [Cell(policy, robots, 10) for policy in "ab" for robots in (1, 10, 30)]
-    names = [[cell.name for cell in part] for part in shares(cells, 3)]
-    assert names == [["a_R30"], ["b_R30"], ["a_R10", "b_R10", "a_R1", "b_R1"]]
-    assert shares(cells[:1], 4) == [cells[:1]]
-    assert sorted([cell for part in shares(cells, 2) for cell in part], key=cells.index) == cells
+    jobs = [Job(0, cell) for cell in cells]
+    assert names(shares(setups, jobs, 3)) == [
+        ["0:a_R30"],
+        ["0:b_R30"],
+        ["0:a_R10", "0:b_R10", "0:a_R1", "0:b_R1"],
+    ]
+    assert shares(setups, jobs[:1], 4) == [jobs[:1]]
+    parts = shares(setups, jobs, 2)
+    assert sorted([job for part in parts for job in part], key=jobs.index) == jobs
+    assert [sum(job.cell.robots for job in part) for part in parts] == [41, 41]
+    assert shares(setups, jobs, 1) == [jobs]
+    assert shares(setups, [], 2) == []
+
+
+def test_cells_that_share_trees_share_a_process(tmp_path):
+    """Where there are enough such families: here the sweeps 0 and 2, 1, and 3."""
+    changes = [{}, {"seed": 1}, {"window": 9.0}, {"scene_class": "wide"}]
+    setups = [prepare(ghost(tmp_path / str(i), **each)) for i, each in enumerate(changes)]
+    small, large = Cell("a", 1, 10), Cell("a", 3, 10)
+    jobs = [Job(1, large), Job(0, small), Job(3, small), Job(2, large)]
+    one, two, three = ["0:a_R1", "2:a_R3"], ["1:a_R3"], ["3:a_R1"]
+    assert names(shares(setups, jobs, 3)) == [one, two, three]
+    assert names(shares(setups, jobs, 2)) == [one, two + three]
+    # A fourth process would be idle: families are torn apart.
+    assert names(shares(setups, jobs, 4)) == [two, ["2:a_R3"], ["0:a_R1"], three]
+
+
+@pytest.mark.parametrize(
+    ("changes", "shared"),
+    [
+        ({"policies": ("always",)}, True),
+        ({"robots": (7,), "tasks": 9}, True),
+        ({"window": 9.0, "service_mean": 1.0, "service_sd": 0.0, "context_switch": 2.0}, True),
+        ({"operators": 2, "rollout_time": 1.0, "compute": "shared:8", "horizon": 9.0}, True),
+        ({"predictor": "best"}, True),
+        ({"seed": 1}, False),
+        ({"scene_class": "all"}, False),
+        ({"scene_class": "tight"}, True),  # as when none is given
+        ({"operator": "heuristic"}, False),
+        ({"lanes": 3}, False),
+        ({"engine": "native"}, False),
+        ({"physics": "paper"}, False),
+        ({"cost": "paper"}, False),
+        ({"update": "stomp"}, False),
+        ({"random_winner": 0.5}, False),
+    ],
+)
+def test_what_a_tree_depends_on(tmp_path, changes, shared):
+    ours, other = prepare(ghost(tmp_path / "a")), prepare(ghost(tmp_path / "b", **changes))
+    assert (ours.lineage() == other.lineage()) == shared
+    assert ours.lineage() == prepare(ghost(tmp_path / "c")).lineage()
+
+
+def test_a_tree_depends_on_what_is_in_the_scene_files(tmp_path):
+    """Not on where they lie."""
+    for folder, name in (("a", "shelf"), ("b", "shelf"), ("c", "other")):
+        (tmp_path / folder).mkdir()
+        write_scene(tmp_path / folder / f"{name}.xml")
+    a, b, c = (prepare(ghost(tmp_path / "x", scenes=tmp_path / each)).lineage() for each in "abc")
+    assert a == b != c
 
 
 def native(out, **changes):
@@ -609,17 +678,18 @@ def test_processes_change_nothing_bit_for_bit(real, tmp_path):
 
 
 class _Deaf:
-    def progress(self, cell, tasks, time_ns):
+    def progress(self, job, tasks, time_ns):
         pass
 
-    def finished(self, cell):
+    def finished(self, job):
         pass
 
 
 def test_bad_input_comes_out_of_a_process(tmp_path):
     setup = prepare(ghost(tmp_path))  # `ghost` is registered here, not there
+    jobs = [Job(0, cell) for cell in setup.config.cells()]
     with pytest.raises(BadInput, match="unknown engine 'ghost'"):
-        run_cells_in_processes(setup, setup.config.cells(), 1, _Deaf())
+        run_cells_in_processes([setup], jobs, 1, _Deaf())
     assert list(tmp_path.iterdir()) == []
 
 

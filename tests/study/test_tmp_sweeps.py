@@ -1,0 +1,356 @@
+"""Several sweeps as one: each finds what it finds alone, bit for bit, and less is computed."""
+
+import dataclasses
+import json
+import re
+import shutil
+
+import polars as pl
+import pytest
+import sweep_toys
+from sweep_toys import content, ghost, tree, ways, write_checkpoints
+
+from pgf_jax.errors import BadInput
+from pgf_jax.scene.sampling import PRESETS
+from pgf_jax.study import sweep as sweep_module
+from pgf_jax.study import sweep_run
+from pgf_jax.study.sweep import sweep, sweeps
+from pgf_jax.study.sweep_config import Cell, SweepConfig
+from pgf_jax.study.sweep_run import Job, run_cells
+from pgf_jax.study.sweep_setup import identity, prepare, task_scene
+
+# Four families: the first four sweeps share their trees; no other does.
+CHANGES = {
+    "plain": {},
+    "window": {"policies": ("pgf", "always"), "robots": (2,), "window": 5.0, "service_mean": 3.0},
+    "another predictor": {"policies": ("pgf", "random"), "robots": (1,), "predictor": "best"},
+    "true gain": {"policies": ("oracle-gain",), "robots": (1,), "compute": "shared:4"},
+    "seed": {"policies": ("or-hitl",), "robots": (2,), "seed": 1, "operators": 2},
+    "classes": {"policies": ("queue",), "robots": (2,), "scene_class": "all", "horizon": 100.0},
+    "winner": {"policies": ("or-hitl",), "robots": (1,), "random_winner": 0.5},
+}
+
+
+@pytest.fixture(scope="module")
+def predictors(tmp_path_factory):
+    return [write_checkpoints(tmp_path_factory.mktemp("p"), seed=seed) for seed in (9, 8)]
+
+
+@pytest.fixture(scope="module")
+def toys(predictors):
+    """Configurations of toy sweeps, into a folder."""
+
+    def make(folder, names=CHANGES, **more) -> list[SweepConfig]:
+        found = []
+        for name in names:
+            settings = {"operator": "nudge", "predictor": str(predictors[0])} | CHANGES[name]
+            if settings["predictor"] == "best":
+                settings["predictor"] = f"best:{predictors[1]}"
+            found.append(ghost(folder / name, **(settings | more)))
+        return found
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def alone(toys, tmp_path_factory):
+    """Each sweep by itself."""
+    folder = tmp_path_factory.mktemp("alone")
+    return {name: sweep(toys(folder, [name])[0], quiet=True) for name in CHANGES}
+
+
+@pytest.fixture(scope="module")
+def together(toys, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("together")
+    return dict(zip(CHANGES, sweeps(toys(folder), quiet=True), strict=True))
+
+
+def same(result, other) -> bool:
+    cells, others = (tree(each.out / "cells") for each in (result, other))
+    assert len(cells) == 3 * len(result.summaries)
+    return content(result.out) == content(other.out) and cells == others
+
+
+def about(result, name="iterations"):
+    return json.loads((result.out / "manifest.json").read_text())[name]
+
+
+# -- exactness -----------------------------------------------------------------------------------
+
+
+def test_together_each_finds_what_it_finds_alone(alone, together):
+    for name, result in together.items():
+        assert same(result, alone[name])
+        assert (result.summaries, result.paired) == (alone[name].summaries, alone[name].paired)
+        assert about(result, "wall_clock")["sweeps_run_together"] == len(CHANGES)
+    # Not of nothing: robots bid, and asked, and were pushed for, and their ways parted.
+    events = pl.concat([result.events() for result in alone.values()])
+    bids = events.filter(pl.col("kind") == "bid", pl.col("gain").is_finite())["policy"]
+    assert set(bids) >= {"pgf", "random"}
+    assert {"push_dropped", "retreat_end", "expired"} <= set(events["kind"])
+    assert set(events["outcome"]) >= {"push", "go_on", "busy", "lost"}
+
+
+def test_together_less_is_computed(alone, together):
+    counts = [about(result) for result in together.values()]
+    assert all(count == counts[0] for count in counts)  # it is of all of them
+    apart = [about(result) for result in alone.values()]
+    assert counts[0]["of_robots"] == sum(count["of_robots"] for count in apart)
+    assert counts[0]["computed"] < sum(count["computed"] for count in apart)
+
+
+def test_what_is_computed_is_what_differs(toys, tmp_path):
+    """Of sweeps of one family whose inputs change what comes after them."""
+    configs = toys(tmp_path, ["plain", "window"])
+    configs[1] = dataclasses.replace(configs[1], policies=("always", "queue"))
+    results = sweeps(configs, quiet=True)
+    logs = [e for r in results for e in r.events().partition_by("policy", "robots")]
+    count = about(results[0])
+    assert count["of_robots"] == sum((log["kind"] == "iteration").sum() for log in logs)
+    assert count["computed"] == len(ways(*logs).iterations) < count["of_robots"]
+    assert about(results[1], "occupancy")["used"] == count["computed"]
+
+
+def test_neither_order_nor_processes_change_anything(toys, alone, tmp_path, monkeypatch):
+    monkeypatch.setattr(sweep_run, "_cells_of_a_process", sweep_toys.cells_of_a_process)
+    configs = toys(tmp_path)[::-1]
+    configs[3] = dataclasses.replace(configs[3], workers=2)  # enough that one says so
+    results = sweeps(configs, quiet=True)
+    assert [result.out for result in results] == [config.out for config in configs]
+    for name, result in zip([*CHANGES][::-1], results, strict=True):
+        assert same(result, alone[name])
+        assert about(result, "workers") == len(about(result, "wall_clock")["compile_s"]) == 2
+
+
+def test_any_few_cells_in_any_order(toys, alone, tmp_path):
+    """Cells of several sweeps, without their neighbours."""
+    setups = [prepare(config) for config in toys(tmp_path)]
+    jobs = [Job(i, cell) for i, setup in enumerate(setups) for cell in setup.config.cells()]
+    for some in (jobs[::-2], jobs[3:6] + jobs[:2]):
+        shutil.rmtree(tmp_path)
+        heard = Heard()
+        run_cells(setups, some, heard)
+        assert sorted(heard.done, key=jobs.index) == sorted(some, key=jobs.index)
+        for sweep_, cell in some:
+            found = tree(setups[sweep_].config.out / "cells")
+            own = tree([*alone.values()][sweep_].out / "cells")
+            files = {name for name in own if name.startswith(f"{cell.name}/")}
+            assert len(files) == 3 and all(found[name] == own[name] for name in files)
+        assert len([*tmp_path.rglob("cell.json")]) == len(some)
+
+
+class Heard:
+    def __init__(self):
+        self.done, self.tasks = [], {}
+
+    def progress(self, job, tasks, time_ns):
+        assert job not in self.done and tasks >= self.tasks.get(job, 0)
+        self.tasks[job] = tasks
+
+    def finished(self, job):
+        self.done.append(job)
+
+
+def test_native_physics_and_an_operator_who_imagines(tmp_path, predictors):
+    """Cell by cell against all in one run."""
+
+    def small(out, *policies, **changes) -> SweepConfig:
+        return ghost(
+            tmp_path / out,
+            engine="native",
+            operator="heuristic",
+            policies=policies,
+            robots=(2,),
+            scene_class="wide",
+            horizon=45.0,
+            predictor=str(predictors[0]),
+            lanes=2,
+            **changes,
+        )
+
+    slow = {"service_mean": 12.0}
+    one = sweeps([small("a", "always", "oracle-gain"), small("b", "or-hitl", "pgf", **slow)])
+    cells = {}
+    for policy in ("pgf", "or-hitl", "always", "oracle-gain"):
+        config = small(policy, policy, **(slow if policy in ("or-hitl", "pgf") else {}))
+        alone = sweep(config, quiet=True)
+        cells[policy] = about(alone)
+        folder = "b" if policy in ("or-hitl", "pgf") else "a"
+        name = f"cells/{policy}_R2"
+        assert tree(tmp_path / folder / name) == tree(config.out / name)
+        assert len(tree(config.out / name)) == 3
+    count = about(one[0])
+    assert count["of_robots"] == sum(each["of_robots"] for each in cells.values())
+    assert count["computed"] < sum(each["computed"] for each in cells.values())
+    # They are imagined, and bid: only gains above 1.
+    assert cells["or-hitl"]["computed"] > cells["or-hitl"]["of_robots"]
+    events = one[0].events().filter(pl.col("policy") == "oracle-gain")
+    gains = events.filter(pl.col("kind") == "iteration")["gain"].drop_nulls()
+    bids = events.filter(pl.col("kind") == "bid")["gain"]
+    assert (bids > 1).all() and bids.is_finite().any() and bids.is_infinite().any()
+    assert set(bids.filter(bids.is_finite())) == set(gains.filter(gains > 1))
+    assert gains.is_between(-1, 1).any()
+    assert (events["kind"] == "retreat_end").any()
+
+
+# -- folders -------------------------------------------------------------------------------------
+
+
+def test_no_sweeps_at_all():
+    assert sweeps([], quiet=True) == []
+
+
+def test_two_sweeps_cannot_have_one_folder(toys, tmp_path):
+    first, second, third = toys(tmp_path, ["plain", "window", "seed"])
+    (tmp_path / "link").symlink_to(tmp_path / "plain")
+    for out in (first.out, tmp_path / "seed" / ".." / "plain", tmp_path / "link"):
+        other = dataclasses.replace(third, out=out)
+        with pytest.raises(BadInput, match=rf"^out: {re.escape(str(out))} is the folder of two"):
+            sweeps([first, second, other], quiet=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["link"]
+
+
+def test_bad_input_of_one_keeps_all_from_starting(toys, together, tmp_path):
+    first, second = toys(tmp_path, ["plain", "window"])
+    foreign = dataclasses.replace(second, out=together["plain"].out)
+    before = tree(foreign.out)
+    for bad, message in (
+        (dataclasses.replace(second, operator="nobody"), "operator: .*got 'nobody'"),
+        (dataclasses.replace(second, scenes=tmp_path / "x"), "x: expected a directory"),
+        (foreign, "choose another folder"),
+    ):
+        with pytest.raises(BadInput, match=message):
+            sweeps([first, bad], quiet=True)
+    assert not [*tmp_path.iterdir()] and tree(foreign.out) == before
+
+
+def copied(configs, results):
+    for config, result in zip(configs, results, strict=True):
+        shutil.copytree(result.out, config.out)
+
+
+def inodes(folder):
+    return {path: path.stat().st_ino for path in folder.rglob("*") if path.is_file()}
+
+
+def test_resume_keeps_the_finished_cells_of_each(toys, together, tmp_path, capsys):
+    names = ["plain", "another predictor", "seed"]
+    configs = toys(tmp_path, names, resume=True)
+    copied(configs[:2], [together[name] for name in names[:2]])
+    lost = [configs[0].out / "cells/or-hitl_R2", configs[1].out / "cells/pgf_R1"]
+    shutil.rmtree(lost[0])
+    (lost[1] / "cell.json").unlink()  # interrupted before its last file
+    kept = [configs[0].out / "cells" / name for name in ("or-hitl_R1", "autonomous_R2")]
+    kept += [configs[1].out / "cells/random_R1"]
+    before = [inodes(folder) for folder in kept]
+    results = sweeps(configs)
+    assert [result.computed for result in results] == [
+        ("or-hitl_R2",),
+        ("pgf_R1",),
+        ("or-hitl_R2",),
+    ]
+    assert [inodes(folder) for folder in kept] == before
+    for name, result in zip(names, results, strict=True):
+        assert same(result, together[name])
+    flags = [[cell["kept"] for cell in about(result, "cells")] for result in results]
+    assert flags == [[True, False, True, True], [False, True], [False]]
+    # What it says: which sweep, then the tables in order.
+    said = capsys.readouterr()
+    lines = said.err.splitlines()
+    assert lines[0] == "kept: 0:or-hitl_R1, 0:autonomous_R1, 0:autonomous_R2, 1:random_R1"
+    finished = [line.split()[1] for line in lines if line.startswith("finished ")]
+    assert sorted(finished) == ["0:or-hitl_R2;", "1:pgf_R1;", "2:or-hitl_R2;"]
+    assert "10/10 tasks, 3/3 cells" in lines[-1] and len(lines) == 4
+    shown = re.findall(r"results in (.*)", said.out)
+    assert shown == [str(config.out) for config in configs]
+
+
+def test_an_interruption_keeps_what_is_finished(toys, together, tmp_path, monkeypatch, capsys):
+    names = ["window", "plain"]
+
+    def interrupted(setups, jobs, listener):
+        class Impatient(Heard):
+            def finished(self, job):
+                listener.finished(job)
+                raise KeyboardInterrupt
+
+        return run_cells(setups, jobs, Impatient())
+
+    monkeypatch.setattr(sweep_module, "run_cells", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        sweeps(toys(tmp_path, names))
+    assert len([*tmp_path.rglob("cell.json")]) == 1
+    assert not [*tmp_path.rglob("manifest.json")]
+    said = " ".join(capsys.readouterr().err.split())
+    where = re.escape(f"{tmp_path / 'window'} .. {tmp_path / 'plain'}")
+    assert re.search(f"interrupted: 1 of 6 cells were finished and are kept in {where}; ", said)
+    monkeypatch.undo()
+    results = sweeps(toys(tmp_path, names, resume=True), quiet=True)
+    assert sum(len(result.computed) for result in results) == 5
+    assert all(same(result, together[name]) for name, result in zip(names, results, strict=True))
+
+
+# -- classes of scenes, and a random winner ------------------------------------------------------
+
+
+def test_all_classes_come_in_turn():
+    config = SweepConfig(scene_class="all", seed=3)
+    for robot in range(4):
+        names = [task_scene(config, None, robot, task).name for task in range(6)]
+        turns = [PRESETS[(robot + task) % 3] for task in range(6)]
+        assert names == [f"{turn}_3_{robot}_{task}" for task, turn in enumerate(turns)]
+        assert sorted(turns) == sorted(PRESETS * 2)
+    # At all times the classes are mixed over the fleet.
+    for task in range(6):
+        drawn = [task_scene(config, None, robot, task).name for robot in range(3)]
+        assert {name.split("_")[0] for name in drawn} == {"tight", "medium", "wide"}
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_scenes_of_a_class_are_those_of_its_own_sweep(seed):
+    for robot in range(3):
+        for task in range(4):
+            scene = task_scene(SweepConfig(scene_class="all", seed=seed), None, robot, task)
+            name = scene.name.split("_")[0]
+            own = {
+                each: task_scene(
+                    SweepConfig(scene_class=each, seed=seed),  # pyright: ignore[reportArgumentType]
+                    None,
+                    robot,
+                    task,
+                )
+                for each in PRESETS
+            }
+            assert scene.name == own[name].name and scene.goal == own[name].goal
+            equal = {each for each in own if (own[each].objects == scene.objects).all()}
+            assert equal == {name}
+
+
+def test_all_classes_are_the_same_for_every_policy_and_size(toys, tmp_path):
+    (config,) = toys(tmp_path, ["plain"], scene_class="all", robots=(1, 3), tasks=3)
+    result = sweep(config, quiet=True)
+    scenes = result.tasks().group_by("robot", "task").agg(pl.col("scene").unique()).sort(pl.all())
+    assert scenes["scene"].list.len().to_list() == [1] * 9
+    named = [f"{PRESETS[(r + t) % 3]}_0_{r}_{t}" for r in range(3) for t in range(3)]
+    assert scenes["scene"].explode().to_list() == named
+    assert about(result, "scenes") == {"class": "all", "objects": 20}
+    setup = prepare(config)
+    assert [setup.scene(r, t).name for r in range(3) for t in range(3)] == named
+    assert [setup.scene_name(r, t) for r in range(3) for t in range(3)] == named
+
+
+def test_a_random_winner_is_another_sweep(toys, alone, tmp_path):
+    cell, changes = Cell("or-hitl", 1, 2), CHANGES["winner"]
+    setups = [
+        prepare(config)
+        for q in (0.5, 0.25)
+        for config in toys(tmp_path, ["winner"], random_winner=q)
+    ]
+    identities = [
+        identity(setup, cell) for setup in (*setups, prepare(toys(tmp_path, ["plain"])[0]))
+    ]
+    assert [each["planner"]["random_winner"] for each in identities] == [0.5, 0.25, 0.0]
+    assert changes["random_winner"] == setups[0].programs()[2].random_winner
+    # It is in the planner that computes: other trajectories win.
+    name = "cells/or-hitl_R1/events.parquet"
+    assert (alone["winner"].out / name).read_bytes() != (alone["plain"].out / name).read_bytes()
