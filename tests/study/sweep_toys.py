@@ -1,5 +1,6 @@
 """A world that costs nothing, for tests of what surrounds it; and small checkpoints and scenes."""
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -7,6 +8,7 @@ import jax
 import numpy as np
 import polars as pl
 
+from pgf_jax.fleet.policies import Discipline, WhenStuck, register_policy
 from pgf_jax.guidance import checkpoint
 from pgf_jax.guidance.operators import register_operator
 from pgf_jax.guidance.predictor import FEATURES, combine, init
@@ -52,18 +54,29 @@ register_engine("ghost", Ghost)
 class Nudge:
     """Pushes an object nowhere, which succeeds at once, or far away, which never does; or goes on.
 
-    What it says depends on the shelf and on how often it was asked, so robots' ways are many.
+    What it says depends on the shelf, the reach and how often it was asked: ways are many.
     """
 
     name = "nudge"
 
     def decide(self, view):
         x, y = map(float, view.objects[5])
-        kind = (view.request + int(1e5 * view.objects.sum())) % 3
+        seen = view.objects.sum() + view.terms[np.isfinite(view.terms)].sum()
+        kind = (view.request + int(1e4 * seen)) % 3
         return (None, Push(5, x, y), Push(6, 0.9 * x, -y))[kind]
 
 
 register_operator("nudge", Nudge)
+
+
+class Eager(WhenStuck):
+    """Waits for input before planning, and again when stuck."""
+
+    def first_bid(self, progress):
+        return math.inf
+
+
+register_policy("eager", lambda config: Eager(Discipline.LINE))
 
 
 def cells_of_a_process(part, say, stop):

@@ -167,16 +167,17 @@ def test_what_is_made_without_any_request_is_there_at_once():
         return value
         yield
 
-    def nested():
+    def nested() -> Any:
         a, b = yield [Once(kept, "x", lambda: nothing(7)), Once(kept, "x", lambda: nothing(8))]
         (c,) = yield [Once(kept, "none", lambda: nothing(None))]
-        return a, b, c
+        (d,) = yield [Once(kept, "none", lambda: nothing(9))]
+        return a, b, c, d
 
     ended: list = []
     queue = Queue(Recorder(lanes=1))  # pyright: ignore[reportArgumentType]
     for _ in range(2):
         queue.add(asking([Once(kept, "nested", nested)]), ended.append)
-    assert ended == [[(7, 7, None)]] * 2 and len(queue) == 0
+    assert ended == [[(7, 7, None, None)]] * 2 and len(queue) == 0
     assert made == [7, None]  # a result of None is a result
 
 
@@ -184,7 +185,7 @@ def test_a_long_way_that_others_went_is_gone_without_recursion():
     """As by a fleet that comes second: everything that it asks for is there."""
     kept: dict = {}
 
-    def walk(steps):
+    def walk(steps) -> Any:
         total = 0
         for i in range(steps):
             (value,) = yield [Once(kept, i, lambda i=i: asking([step(i)]))]
@@ -225,7 +226,7 @@ def test_once_against_making_everything_again(made, askers, lanes):
         times.append(label)
         return perform(label, programs[label])
 
-    def perform(name, program):
+    def perform(name, program) -> Any:
         heard = []
         for k, items in enumerate(program):
             heard += yield [

@@ -14,6 +14,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
 from pgf_jax.guidance import bidders
 from pgf_jax.guidance.predictor import Direct
+from pgf_jax.guidance.true_gain import TrueGain
 from pgf_jax.study import results, sweep_setup
 from pgf_jax.study import sweep as sweep_module
 from pgf_jax.study.sweep import sweep
@@ -275,6 +276,19 @@ def test_a_cell_s_identity_names_the_predictor_that_it_used(tmp_path):
     assert alone.classifier is None
 
 
+def test_the_true_gain_is_no_network_s(tmp_path):
+    folders = [write_checkpoints(tmp_path / str(seed), seed=seed) for seed in (0, 1)]
+    cell, other = Cell("oracle-gain", 1, 2), Cell("pgf", 1, 2)
+    policies, setups = (cell.policy, other.policy), []
+    for folder in folders:
+        setups.append(prepare(ghost(tmp_path / "out", policies=policies, predictor=str(folder))))
+        assert setups[-1].bidder_of(cell) == TrueGain()
+        assert setups[-1].bidder_of(other) is setups[-1].bidder is not None
+    assert identity(setups[0], cell) == identity(setups[1], cell)
+    assert identity(setups[0], cell)["predictors"] == {}
+    assert identity(setups[0], other) != identity(setups[1], other)
+
+
 def test_another_kind_of_predictor_is_another_configuration(tmp_path):
     folder = write_checkpoints(tmp_path / "predictors")
     config = ghost(tmp_path / "out", policies=("pgf",), robots=(1,), tasks=1, predictor=str(folder))
@@ -492,7 +506,8 @@ def test_pgf_without_shipped_checkpoints(tmp_path, monkeypatch):
     monkeypatch.setattr(sweep_setup, "shipped_checkpoints", none)
     monkeypatch.setattr(bidders, "shipped_checkpoints", none)
     refused(ghost(tmp_path / "out", policies=("pgf",)), "no shipped checkpoints", tmp_path)
-    assert prepare(ghost(tmp_path / "out")).bidder is None  # nobody needs them
+    for policies in (("or-hitl", "autonomous"), ("oracle-gain",)):  # nobody needs them
+        assert prepare(ghost(tmp_path / "out", policies=policies)).bidder is None
 
 
 @pytest.mark.parametrize("resume", [False, True])

@@ -162,29 +162,27 @@ def test_native_physics_and_an_operator_who_imagines(tmp_path, predictors):
             policies=policies,
             robots=(2,),
             scene_class="wide",
-            horizon=45.0,
+            horizon=34.0,
             predictor=str(predictors[0]),
             lanes=2,
             **changes,
         )
 
-    slow = {"service_mean": 12.0}
-    one = sweeps([small("a", "always", "oracle-gain"), small("b", "or-hitl", "pgf", **slow)])
-    cells = {}
-    for policy in ("pgf", "or-hitl", "always", "oracle-gain"):
-        config = small(policy, policy, **(slow if policy in ("or-hitl", "pgf") else {}))
-        alone = sweep(config, quiet=True)
-        cells[policy] = about(alone)
-        folder = "b" if policy in ("or-hitl", "pgf") else "a"
-        name = f"cells/{policy}_R2"
-        assert tree(tmp_path / folder / name) == tree(config.out / name)
-        assert len(tree(config.out / name)) == 3
-    count = about(one[0])
-    assert count["of_robots"] == sum(each["of_robots"] for each in cells.values())
-    assert count["computed"] < sum(each["computed"] for each in cells.values())
-    # They are imagined, and bid: only gains above 1.
-    assert cells["or-hitl"]["computed"] > cells["or-hitl"]["of_robots"]
-    events = one[0].events().filter(pl.col("policy") == "oracle-gain")
+    both = {"a": (("always", "oracle-gain"), {}), "b": (("or-hitl", "pgf"), {"service_mean": 5.0})}
+    together = sweeps([small(out, *p, **changes) for out, (p, changes) in both.items()], quiet=True)
+    counts = {}
+    for out, (policies, changes) in both.items():
+        for policy in policies:
+            alone = sweep(small(policy, policy, **changes), quiet=True)
+            counts[policy] = about(alone)
+            cell = tree(tmp_path / out / "cells" / f"{policy}_R2")
+            assert len(cell) == 3 and cell == tree(alone.out / "cells" / f"{policy}_R2")
+    count = about(together[0])
+    assert count["of_robots"] == sum(each["of_robots"] for each in counts.values())
+    assert count["computed"] < sum(each["computed"] for each in counts.values())
+    assert counts["always"]["computed"] > counts["always"]["of_robots"]  # pushes are imagined
+    # The true gain is bid where it is above 1, and only there.
+    events = together[0].events().filter(pl.col("policy") == "oracle-gain")
     gains = events.filter(pl.col("kind") == "iteration")["gain"].drop_nulls()
     bids = events.filter(pl.col("kind") == "bid")["gain"]
     assert (bids > 1).all() and bids.is_finite().any() and bids.is_infinite().any()

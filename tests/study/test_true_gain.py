@@ -63,6 +63,7 @@ def imagined(seed: int, push, terms_of) -> tuple[float, list[list[Step]]]:
         asked.append(requests)
         answers = []
         for request in requests:
+            assert isinstance(request, Step)
             search = request.search
             terms = np.full_like(search.value.terms, terms_of(search))
             value = search.value._replace(terms=terms)
