@@ -174,6 +174,21 @@ def save(data: Data, networks: dict[str, list[Trained]], config: Config) -> list
     return written
 
 
+def save_ablations(data: Data, folder: Path) -> None:
+    """Write the pairs that do not ship, of seed 0, for sweeps with `--predictor FOLDER`."""
+    for network in ckpt.PAIR:
+        published = published_fit(network, data.published[network], 0)
+        tight = training.fit_network(network, data.tight[network], TrainConfig(seed=0))
+        for name, part, done, rows in (
+            ("published", "train", published, data.published[network]),
+            ("tight_alone", "train_tight", tight, data.tight[network]),
+        ):
+            runs = runs_path(folder / part, training.RECIPES[network].mode).read_bytes()
+            about = training.report_of(done, rows)
+            about |= {"data_sha256": hashlib.sha256(runs).hexdigest()}
+            training.save(folder / name, network, done, about, TrainConfig())
+
+
 def main(config: Config) -> None:
     """Do all of it."""
     console = Console()
@@ -184,6 +199,7 @@ def main(config: Config) -> None:
     networks, bidders = train(data)
     trained_s = time.perf_counter() - begun - collected_s
     files = save(data, networks, config)
+    save_ablations(data, folder)
     costs = report.cost_table(data, networks)
     gains = report.gain_table(data.forks, bidders)
     content = {"scale": config.scale, "collected": data.collected, "costs": costs, "gains": gains}

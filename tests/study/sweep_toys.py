@@ -54,15 +54,14 @@ register_engine("ghost", Ghost)
 class Nudge:
     """Pushes an object nowhere, which succeeds at once, or far away, which never does; or goes on.
 
-    What it says depends on the shelf, the reach and how often it was asked: ways are many.
+    What it says depends on the shelf and on how often it was asked, so robots' ways are many.
     """
 
     name = "nudge"
 
     def decide(self, view):
         x, y = map(float, view.objects[5])
-        seen = view.objects.sum() + view.terms[np.isfinite(view.terms)].sum()
-        kind = (view.request + int(1e4 * seen)) % 3
+        kind = (view.request + int(1e5 * view.objects.sum())) % 3
         return (None, Push(5, x, y), Push(6, 0.9 * x, -y))[kind]
 
 

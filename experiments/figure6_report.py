@@ -1,0 +1,321 @@
+"""Figures and tables of `figure6.py`, made from its stored rows alone."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import polars as pl
+from matplotlib.figure import Figure
+from study_runs import difference, over_seeds, read, text
+
+from pgf_jax.fleet.metrics import Interval
+from pgf_jax.guidance.tables import write_atomically
+from pgf_jax.study.figures import MARKERS, png
+
+POLICIES = {  # name here: (policy, predictor) of the rows
+    "PGF": ("pgf", "paper"),
+    "PGF, best": ("pgf", "best"),
+    "OR-HITL": ("or-hitl", "paper"),
+    "OR-HITL, window": ("or-hitl-window", "paper"),
+    "always": ("always", "paper"),
+    "autonomous": ("autonomous", "paper"),
+}
+COLORS = dict(zip(POLICIES, ("C0", "C2", "C1", "C3", "C5", "0.45"), strict=True))
+LIKE_S, SIMILAR, AS_HIGH = 0.75, 0.10, 0.01  # 5 % of OR-HITL's planning time; shares
+MEASURES = {
+    "first bid": "first_bid",
+    "first grant": "first_grant",
+    "every grant": "every_grant",
+    "every grant whose push succeeded": "every_successful_grant",
+}
+
+
+class Rows:
+    """Rows of one study, cell by cell."""
+
+    def __init__(self, name: str, out: Path) -> None:
+        # Of policies with windows, and of those that never wait.
+        iterating = (pl.col("planning_time_s") - pl.col("waiting_s")).alias("iterating_s")
+        self.frame = read(name, out).with_columns(iterating)
+        self.sizes = sorted(self.frame["robots"].unique().to_list())
+
+    def cell(self, scenes: str, scenario: str, policy: str, robots: int) -> pl.DataFrame:
+        """One fleet a seed."""
+        name, predictor = POLICIES[policy]
+        return self.frame.filter(
+            scenes=scenes, scenario=scenario, policy=name, predictor=predictor, robots=robots
+        )
+
+    def scenarios(self, scenes: str) -> list[str]:
+        """In the order in which they were run."""
+        return self.frame.filter(scenes=scenes)["scenario"].unique(maintain_order=True).to_list()
+
+
+def write(name: str, out: Path) -> None:
+    """Write `NAME.png`, `NAME_differences.png` and `NAME.md`."""
+    rows = Rows(name, out)
+    write_atomically(out / f"{name}.png", png(_main_figure(rows)))
+    write_atomically(out / f"{name}_differences.png", png(_differences_figure(rows)))
+    parts = [_claims(rows), _shares(rows), _differences(rows), _cells(rows)]
+    write_atomically(out / f"{name}.md", ("\n\n".join(parts) + "\n").encode())
+
+
+# -- figures -----------------------------------------------------------------------------------
+
+
+def _main_figure(rows: Rows) -> Figure:
+    figure = Figure(figsize=(11, 7.6), layout="constrained")
+    axes = figure.subplots(2, 2)
+    for row, scenes in enumerate(("tight", "all")):
+        for column, (value, label, scale) in enumerate(
+            (
+                ("planning_time_s", "planning time (s)", 1.0),
+                ("success", "success rate (%)", 100.0),
+            )
+        ):
+            ax = axes[row, column]
+            for policy in POLICIES:
+                _band(ax, rows, scenes, policy, value, scale)
+            where = "tight scenes" if scenes == "tight" else "all three classes"
+            ax.set(title=where, xlabel="robots", ylabel=label, xticks=rows.sizes)
+            ax.grid(alpha=0.3)
+            if column == 0:  # whatever the band of `always`, which has few tasks where R = 1
+                usual = [rows.cell(scenes, "main", "autonomous", r) for r in rows.sizes]
+                highest = max(over_seeds(cell, value).high for cell in usual)
+                ax.set_ylim(0, 1.25 * highest)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    figure.suptitle("Mean of a fleet's tasks, failures included; bands: 95 % over seeds")
+    return figure
+
+
+def _band(ax, rows: Rows, scenes: str, policy: str, value: str, scale: float) -> None:
+    cells = [(r, rows.cell(scenes, "main", policy, r)) for r in rows.sizes]
+    points = [(r, over_seeds(cell, value)) for r, cell in cells if len(cell)]
+    if not points:
+        return
+    x = [r for r, _ in points]
+    marker = MARKERS[list(POLICIES).index(policy)]
+    color = COLORS[policy]
+    mean = [scale * p.mean for _, p in points]
+    ax.plot(x, mean, color=color, marker=marker, markersize=5, label=policy)
+    low, high = ([scale * getattr(p, end) for _, p in points] for end in ("low", "high"))
+    ax.fill_between(x, low, high, color=color, alpha=0.15, linewidth=0)
+
+
+def _differences_figure(rows: Rows) -> Figure:
+    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    for ax, scenes in zip(axes, ("tight", "all"), strict=True):
+        scenarios = rows.scenarios(scenes)
+        for i, scenario in enumerate(scenarios):
+            points = [
+                (r, _paired(rows, scenes, scenario, r, "planning_time_s")) for r in rows.sizes
+            ]
+            points = [(r, p) for r, p in points if p.n]
+            if not points:
+                continue
+            shift = (i - len(scenarios) / 2) * 0.35
+            ax.errorbar(
+                [r + shift for r, _ in points],
+                [p.mean for _, p in points],
+                yerr=[
+                    [p.mean - p.low for _, p in points],
+                    [p.high - p.mean for _, p in points],
+                ],
+                marker=MARKERS[i % len(MARKERS)],
+                markersize=5,
+                linewidth=1,
+                label=scenario,
+            )
+        ax.axhline(0, color="black", linewidth=0.8)
+        where = "tight scenes" if scenes == "tight" else "all three classes"
+        ax.set(title=where, xlabel="robots", xticks=rows.sizes)
+        ax.grid(alpha=0.3)
+        ax.legend(fontsize=8)
+    axes[0].set_ylabel("planning time, PGF less OR-HITL (s)")
+    figure.suptitle("Same scenes, noise and service times; below 0: PGF is faster. Bars: 95 %")
+    return figure
+
+
+# -- tables ------------------------------------------------------------------------------------
+
+
+def _paired(
+    rows: Rows, scenes: str, scenario: str, robots: int, value: str, ours: str = "PGF"
+) -> Interval:
+    """Ours less OR-HITL. Where only a predictor was changed, OR-HITL is the main scenario's."""
+    mine = rows.cell(scenes, scenario, ours, robots)
+    theirs = rows.cell(scenes, scenario, "OR-HITL", robots)
+    if theirs.is_empty():
+        theirs = rows.cell(scenes, "main", "OR-HITL", robots)
+    return difference(mine, theirs, value)
+
+
+Verdict = Callable[[Interval], str]
+FASTER = (-math.inf, 0.0)  # where a claim puts a difference
+MORE = (0.0, math.inf)
+
+
+def _within(low: float, high: float) -> Verdict:
+    """yes: the whole interval is within the bounds; no: none of it is."""
+
+    def verdict(found: Interval) -> str:
+        if found.n < 2:
+            return "-"
+        if low <= found.low and found.high <= high:
+            return "yes"
+        return "no" if found.high < low or found.low > high else "not decided"
+
+    return verdict
+
+
+def _claims(rows: Rows) -> str:
+    """The claims of section VI, with what was measured, on both sets of scenes."""
+    lines = [
+        "## The paper's claims",
+        "",
+        "Main scenario: computers of their own, rollouts of 1.5 s. Differences are PGF less",
+        "OR-HITL on the same scenes, noise and service times. A claim holds (yes) where the whole",
+        "interval is where the claim puts it, and does not (no) where none of it is. `like`: by",
+        f"less than {LIKE_S} s; `similar`: by less than {100 * SIMILAR:.0f} points; `at least as",
+        f"high`: not lower by more than {100 * AS_HIGH:.0f} point.",
+        "",
+        "| claim | paper | tight scenes | holds | all classes | holds |",
+        "|---|---|---|---|---|---|",
+    ]
+
+    def line(claim: str, paper: str, value: str, bounds: tuple, unit: str, robots: int) -> None:
+        measure_line(claim, paper, lambda s: _paired(rows, s, "main", robots, value), bounds, unit)
+
+    def measure_line(
+        claim: str, paper: str, measure: Callable[[str], Interval], bounds: tuple, unit: str
+    ) -> None:
+        cells = []
+        scale, digits = (100.0, 2) if unit == "points" else (1.0, 1)
+        for scenes in ("tight", "all"):
+            found = measure(scenes)
+            cells += [f"{text(found, digits, scale)} {unit}", _within(*bounds)(found)]
+        lines.append("| " + " | ".join([claim, paper, *cells]) + " |")
+
+    few, many = rows.sizes[0], rows.sizes[-1]
+    for robots in rows.sizes:
+        paper, bounds = ("like", (-LIKE_S, LIKE_S)) if robots == 30 else ("PGF faster", FASTER)
+        claim = f"planning time at R = {robots}"
+        line(claim, paper, "planning_time_s", bounds, "s", robots)
+    measure_line(
+        f"PGF's planning time rises from R = {few} to {many}",
+        "rises",
+        lambda scenes: difference(
+            rows.cell(scenes, "main", "PGF", many),
+            rows.cell(scenes, "main", "PGF", few),
+            "planning_time_s",
+        ),
+        MORE,
+        "s",
+    )
+    measure_line(
+        f"the lead over OR-HITL shrinks from R = {few} to {many}",
+        "shrinks",
+        lambda scenes: _change_of_lead(rows, scenes, few, many),
+        MORE,
+        "s",
+    )
+    at = 20 if 20 in rows.sizes else many
+    for name, value in MEASURES.items():
+        claim = f"iteration of asking at R = {at}: {name}"
+        line(claim, "6 against 25", value, FASTER, "iterations", at)
+    claim = f"tasks with a grant at R = {at}"
+    line(claim, "31 % against 18 %", "helped", MORE, "points", at)
+    claim = f"use of the human at R = {at} (utilisation)"
+    line(claim, "similar", "utilisation", (-SIMILAR, SIMILAR), "points", at)
+    for robots in rows.sizes:
+        claim = f"success at R = {robots}"
+        line(claim, "at least as high", "success", (-AS_HIGH, math.inf), "points", robots)
+    return "\n".join(lines)
+
+
+def _change_of_lead(rows: Rows, scenes: str, few: int, many: int) -> Interval:
+    """How much PGF less OR-HITL grows with the fleet, seed by seed."""
+
+    def lead(robots: int) -> pl.DataFrame:
+        ours, theirs = (rows.cell(scenes, "main", p, robots) for p in ("PGF", "OR-HITL"))
+        both = ours.join(theirs, on="seed", suffix="_theirs")
+        gap = pl.col("planning_time_s") - pl.col("planning_time_s_theirs")
+        return both.select("seed", gap.alias("lead"))
+
+    return difference(lead(many), lead(few), "lead")
+
+
+def _shares(rows: Rows) -> str:
+    """What the difference in planning time is made of, and where the task's time goes."""
+    lines = [
+        "## What asking costs",
+        "",
+        "PGF less OR-HITL in the main scenario, s a task. Planning time is iterations and waits in",
+        "windows; interaction is not in it, but counts for the task's limit of 180 s.",
+        "",
+        "| scenes | R | planning time | of it iterations | waits in windows | interaction | "
+        "success (points) |",
+        "|---|---:|---|---|---|---|---|",
+    ]
+    for scenes in ("tight", "all"):
+        for robots in rows.sizes:
+            values = ("planning_time_s", "iterating_s", "waiting_s", "interaction_s")
+            found = [text(_paired(rows, scenes, "main", robots, v), 2) for v in values]
+            success = text(_paired(rows, scenes, "main", robots, "success"), 2, 100)
+            lines.append("| " + " | ".join([scenes, str(robots), *found, success]) + " |")
+    return "\n".join(lines)
+
+
+def _cells(rows: Rows) -> str:
+    """Levels of every policy in the main scenario and of the causes."""
+    lines = [
+        "## Levels",
+        "",
+        "| scenes | scenario | policy | R | planning time (s) | success (%) | with a grant (%) | "
+        "first bid at | first grant at | every grant | whose push succeeded | utilisation |",
+        "|---|---|---|---:|---|---|---|---|---|---|---|---|",
+    ]
+    for scenes in ("tight", "all"):
+        for scenario in rows.scenarios(scenes):
+            for policy in POLICIES:
+                for robots in rows.sizes:
+                    cell = rows.cell(scenes, scenario, policy, robots)
+                    if cell.is_empty():
+                        continue
+                    values = [
+                        text(over_seeds(cell, "planning_time_s")),
+                        text(over_seeds(cell, "success"), 2, 100),
+                        text(over_seeds(cell, "helped"), 1, 100),
+                        *(text(over_seeds(cell, v)) for v in MEASURES.values()),
+                        text(over_seeds(cell, "utilisation"), 2),
+                    ]
+                    lines.append(
+                        "| " + " | ".join([scenes, scenario, policy, str(robots), *values]) + " |"
+                    )
+    return "\n".join(lines)
+
+
+def _differences(rows: Rows) -> str:
+    """PGF less OR-HITL, in every scenario."""
+    lines = [
+        "## PGF less OR-HITL",
+        "",
+        "| scenes | scenario | PGF's predictor | "
+        + " | ".join(f"R = {r}: planning time (s)" for r in rows.sizes)
+        + " | success at the largest (points) |",
+        "|---|---|---|" + "---|" * (len(rows.sizes) + 1),
+    ]
+    for scenes in ("tight", "all"):
+        for scenario in rows.scenarios(scenes):
+            for ours, predictor in (("PGF", "paper"), ("PGF, best", "best")):
+                found = [
+                    _paired(rows, scenes, scenario, r, "planning_time_s", ours) for r in rows.sizes
+                ]
+                if not any(f.n for f in found):
+                    continue
+                success = _paired(rows, scenes, scenario, rows.sizes[-1], "success", ours)
+                cells = [*map(text, found), text(success, 2, 100)]
+                lines.append("| " + " | ".join([scenes, scenario, predictor, *cells]) + " |")
+    return "\n".join(lines)

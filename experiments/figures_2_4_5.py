@@ -1,0 +1,314 @@
+"""The paper's illustrations again: figure 2 (two nominals), 4 (easy and hard), 5 (one window).
+
+    python experiments/figures_2_4_5.py [--preset quick] [--figures 2 4 5] [--draw]
+
+Each figure is drawn from its data file alone, `OUT/figureN.json`, so that `--draw` draws it again
+without computing; the same options give the same file byte for byte (on one machine). Each file
+states the rule by which its scenes were chosen; no rule looks at how planning a scene ended.
+`figures_2_4_5_windows.py` makes the data of figure 5, `figures_2_4_5_drawing.py` draws. Some 40 s
+of one core, 15 s with `--preset quick`.
+
+Source: Papallas & Dogar (2022), figures 2, 4 and 5.
+"""
+
+import dataclasses
+import json
+import re
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from figures_2_4_5_drawing import FIGURES, rounded, scene_content
+from figures_2_4_5_windows import POLICIES, figure5, table
+from study_runs import ROOT, script, stored
+
+from pgf_jax import BadInput, PlanConfig, Scene, SweepConfig, sample_scene, sweep
+from pgf_jax.guidance.geometry import end_effector
+from pgf_jax.guidance.heuristic import HeuristicOperator
+from pgf_jax.guidance.operators import View
+from pgf_jax.guidance.tables import write_atomically
+from pgf_jax.planning import nominal
+from pgf_jax.planning.planner import BatchPlanner, Search, start_world
+from pgf_jax.scene.sampling import OBJECTS
+from pgf_jax.study import results
+from pgf_jax.study.checks import MAX_SEED, whole
+from pgf_jax.study.computer import planning_computer
+from pgf_jax.study.figures import png
+from pgf_jax.study.plan import plan_scenes
+from pgf_jax.study.sweep_config import LANES
+
+ENGINE = "planar"
+MOVED = 0.05  # m, least distance over which the push of figure 2 moves its object
+NO_NOISE = np.zeros(2, np.uint32)  # a nominal's rollout draws no noise, whatever the key
+
+# What the paper says of its own scenes (section 9 of the design).
+PAPER_4 = {"easy": 0.0, "hard": 749.56}  # initial costs
+PAPER_5 = {"solved_alone_after": [4, 8, 20], "asks_at": [7, 4], "failures": 1}  # under OR-HITL
+
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """How much is computed."""
+
+    scenes: int  # that figures 2 and 4 choose from
+    robots: int  # of the fleet of figure 5
+    tasks: int  # of each robot
+
+
+PRESETS = {"full": Preset(200, 20, 10), "quick": Preset(40, 10, 2)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Compute the data of figures 2, 4 and 5, and draw them.
+
+    Attributes:
+      preset: full: 200 scenes, and a sweep of 20 robots with 10 tasks each; quick: 40, 10 and 2.
+      figures: which of 2, 4 and 5.
+      seed: of the first scene of figures 2 and 4 (the next ones count on), which is also the seed
+        of its noise; and of the sweep of figure 5.
+      scene_class: of all scenes.
+      predictor: what the robots of figure 5 bid by: paper, best, or a folder (see `sweep`).
+      draw: only draw again, from the data files that are there.
+      out: folder of data and pictures; None: experiments/results for full, and
+        results/study_quick, which git ignores, for quick.
+    """
+
+    preset: Literal["quick", "full"] = "full"
+    figures: tuple[Literal[2, 4, 5], ...] = (2, 4, 5)
+    seed: int = 0
+    scene_class: Literal["tight", "medium", "wide"] = "tight"
+    predictor: str = "paper"
+    draw: bool = False
+    out: Path | None = None
+
+    def folder(self) -> Path:
+        """Where data and pictures go."""
+        if self.out is not None:
+            return self.out
+        return stored(self.preset)
+
+    def about(self) -> dict[str, Any]:
+        """What the data depend on."""
+        return {
+            "seed": self.seed,
+            "preset": self.preset,
+            "scene_class": self.scene_class,
+            "engine": ENGINE,
+            "lanes": LANES[ENGINE],
+            "versions": {name: version(name) for name in ("pgf_jax", "jax", "jaxlib", "numpy")},
+        }
+
+
+# -- figures 2 and 4: nominals -------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Begun:
+    """A sampled scene and its reach, of which the nominal has been rolled out."""
+
+    seed: int  # of the scene, and of its noise where it is planned
+    scene: Scene
+    search: Search
+
+
+def plan_config() -> PlanConfig:
+    """Planning alone, in calls as wide as a sweep's."""
+    return PlanConfig(engine=ENGINE, operator="none", lanes=LANES[ENGINE])
+
+
+def begin(config: Config, planner: BatchPlanner) -> list[Begun]:
+    """The scenes to choose from."""
+    seeds = range(config.seed, config.seed + PRESETS[config.preset].scenes)
+    scenes = [sample_scene(seed, config.scene_class) for seed in seeds]
+    searches = roll_nominals(
+        planner,
+        [planner.begin_reach(start_world(scene.positions), scene.goal) for scene in scenes],
+    )
+    return [Begun(*each) for each in zip(seeds, scenes, searches, strict=True)]
+
+
+def roll_nominals(planner: BatchPlanner, searches: Sequence[Search]) -> list[Search]:
+    """Iteration 0 of each search."""
+    done, lanes = [], planner.engine.lanes
+    for k in range(0, len(searches), lanes):
+        part = searches[k : k + lanes]
+        done += planner.step(part, [NO_NOISE] * len(part))
+    return done
+
+
+def figure2(config: Config, planner: BatchPlanner, begun: Sequence[Begun]) -> dict[str, Any]:
+    """The data of figure 2: a scene's reach nominal and a push nominal."""
+    unsolved = [b for b in begun if not planner.terminate(b.search)]
+    chosen = [HeuristicOperator().ranked(View.of(b.search), 1)[0] for b in unsolved]
+    pushes = roll_nominals(
+        planner,
+        [
+            planner.begin_push(b.search.start, b.scene.goal, push)
+            for b, push in zip(unsolved, chosen, strict=True)
+        ],
+    )
+    for b, push, search in zip(unsolved, chosen, pushes, strict=True):
+        o, target = b.scene.positions[push.object], np.array([push.x, push.y])
+        moved = np.linalg.norm(search.best.objects[-1, push.object] - o)
+        if not planner.terminate(search) or moved < MOVED:
+            continue
+        along = (target - o) / np.linalg.norm(target - o)
+        content = {
+            "object": push.object,
+            "target": rounded(target),
+            "behind": rounded(o - nominal.PUSH_BEHIND * along),
+            "stop": rounded(target - nominal.PUSH_SHORT * along),
+        }
+        return {
+            "figure": 2,
+            "about": config.about(),
+            "rule": f"of the {len(begun)} {config.scene_class} scenes from seed {config.seed} on, "
+            "the first whose reach nominal is not feasible and for which the nominal of the push "
+            "that the heuristic operator puts first by geometry is feasible and moves its object "
+            f"by {MOVED} m or more",
+            "seed": b.seed,
+            "scene": scene_content(b.scene),
+            "reach": nominal_content(b.search),
+            "push": nominal_content(search) | content,
+        }
+    raise BadInput(
+        f"figure 2: none of {len(begun)} scenes from seed {config.seed} on fits the rule; "
+        "expected a seed, or a preset, with one that does"
+    )
+
+
+def figure4(config: Config, planner: BatchPlanner, begun: Sequence[Begun]) -> dict[str, Any]:
+    """The data of figure 4: an easy scene and a hard one."""
+    costs = [three_terms(b.search) for b in begun]
+    feasible = [i for i, b in enumerate(begun) if planner.terminate(b.search)]
+    others = [i for i in range(len(begun)) if i not in feasible]
+    if not feasible or not others:
+        raise BadInput(
+            f"figure 4: of {len(begun)} scenes from seed {config.seed} on, the nominals of "
+            f"{len(feasible)} are feasible; expected some, and some that are not"
+        )
+    chosen = {
+        "easy": begun[feasible[0]],
+        "hard": begun[min(others, key=lambda i: abs(costs[i] - PAPER_4["hard"]))],
+    }
+    plans = plan_scenes([(b.scene, b.seed) for b in chosen.values()], plan_config())
+    return {
+        "figure": 4,
+        "about": config.about(),
+        "rule": f"of the {len(begun)} {config.scene_class} scenes from seed {config.seed} on: "
+        f"easy, the first whose nominal is feasible (total cost at most "
+        f"{planner.config.cost.feasible_cost:g}, goal in reach); hard, of the others the one whose "
+        f"nominal's c_d + c_f + c_b is nearest to the paper's {PAPER_4['hard']}",
+        "paper": PAPER_4,
+        **{
+            name: {
+                "seed": b.seed,
+                "scene": scene_content(b.scene),
+                "reach": nominal_content(b.search),
+                "alone": {
+                    "status": str(plan.status),
+                    "iterations": plan.iterations,
+                    "planning_time_s": plan.planning_time_s,
+                },
+            }
+            for (name, b), plan in zip(chosen.items(), plans, strict=True)
+        },
+        "initial_costs": {
+            "what": "c_d + c_f + c_b of the reach nominal of every scene chosen from, by seed",
+            "feasible": len(feasible),
+            "costs": rounded(costs, 2),
+        },
+    }
+
+
+def nominal_content(search: Search) -> dict[str, Any]:
+    """A nominal and its rollout; of hand, gripper and ee the start and the T knot ends."""
+    hands = np.concatenate([search.start.hand[None], search.best.hand])  # [T + 1, 3]
+    first = "c_h" if search.task.pushing else "c_d"
+    names = (first, "c_f", "c_b", "c_e", "c_s", "total")
+    values = [*search.value.terms, search.value.total]
+    return {
+        "hand": rounded(hands),
+        "gripper": rounded([search.start.gripper, *search.gripper], 1),
+        "ee": rounded([end_effector(pose) for pose in hands]),
+        "ends": rounded(search.best.objects[-1]),
+        "cost": dict(zip(names, rounded(values, 2), strict=True)),
+        "three_terms": rounded(three_terms(search), 2),
+        "feasible": bool(search.value.feasible),
+    }
+
+
+def three_terms(search: Search) -> float:
+    """The paper's cost: c_d + c_f + c_b (pushing: c_h in place of c_d)."""
+    return float(np.sum(search.value.terms[:3], dtype=np.float64))
+
+
+# -- figure 5: a sweep ---------------------------------------------------------------------------
+
+
+def run_sweep(config: Config) -> dict[str, Any]:
+    """The data of figure 5, from a sweep whose own files go to results/figure5.
+
+    Nothing that is there is kept: a sweep's cells know of their settings, not of the code.
+    """
+    sizes = PRESETS[config.preset]
+    name = f"{config.preset}_{config.scene_class}_{config.predictor}_seed{config.seed}"
+    sweep_config = SweepConfig(
+        robots=(sizes.robots,),
+        policies=POLICIES,
+        tasks=sizes.tasks,
+        seed=config.seed,
+        engine=ENGINE,
+        scene_class=config.scene_class,
+        predictor=config.predictor,
+        out=ROOT / "results" / "figure5" / re.sub(r"[^\w.-]+", "_", name),
+    )
+    content = figure5(sweep_config, sweep(sweep_config))
+    return {"figure": 5, "about": config.about(), "paper": PAPER_5} | content
+
+
+# -- files ---------------------------------------------------------------------------------------
+
+
+def json_text(content: dict[str, Any]) -> str:
+    """JSON with innermost lists on one line each."""
+    text = json.dumps(content, indent=1, allow_nan=False)
+    return re.sub(r"\[[^][{}\"]*\]", lambda found: " ".join(found[0].split()), text) + "\n"
+
+
+def compute(config: Config) -> None:
+    """Write the data files."""
+    folder, content = config.folder(), {}
+    if {2, 4} & {*config.figures}:
+        planner = planning_computer(plan_config(), OBJECTS).planner
+        begun = begin(config, planner)
+        if 2 in config.figures:
+            content[2] = figure2(config, planner, begun)
+        if 4 in config.figures:
+            content[4] = figure4(config, planner, begun)
+    if 5 in config.figures:
+        content[5] = run_sweep(config)
+        write_atomically(folder / "figure5.csv", table(content[5]))
+    for number, data in content.items():
+        write_atomically(folder / f"figure{number}.json", json_text(data).encode())
+
+
+def run(config: Config) -> None:
+    """Compute, unless only drawing was asked for; draw."""
+    whole("--seed", config.seed, 0, MAX_SEED - PRESETS[config.preset].scenes)
+    if not config.draw:
+        compute(config)
+    for number in config.figures:
+        path = config.folder() / f"figure{number}.json"
+        picture = path.with_suffix(".png")
+        if not path.is_file():
+            raise BadInput(f"{path}: no such file, expected data that were computed without --draw")
+        write_atomically(picture, png(FIGURES[number](results.read_json(path))))
+        print(picture)
+
+
+if __name__ == "__main__":
+    script(run, Config)
