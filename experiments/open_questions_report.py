@@ -148,12 +148,13 @@ def _fleets(rows: Rows) -> Figure:
             x = [r for r, *_ in points]
             ax.plot(x, [s * p.mean for _, p, s in points], label=policy, color=COLORS[policy],
                     marker=MARKERS[i % len(MARKERS)], markersize=4)  # fmt: skip
-            low, high = ([s * getattr(p, end) for _, p, s in points] for end in ("low", "high"))
-            ax.fill_between(x, low, high, color=COLORS[policy], alpha=0.1, linewidth=0)
         ax.set(xlabel="robots", ylabel=label, xticks=rows.sizes)
         ax.grid(alpha=0.3)
-    axes[2].legend(fontsize=7)
-    figure.suptitle("One operator, all three scene classes; bands: 95 % over seeds")
+    axes[2].set_ylim(bottom=0)
+    axes[2].legend(fontsize=7, ncols=2, loc="lower left")
+    figure.suptitle(
+        "One operator, all three scene classes: means. Intervals of differences: see the tables"
+    )
     return figure
 
 
