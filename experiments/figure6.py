@@ -70,7 +70,7 @@ def _settings(scenes: str, seed: int) -> Iterator[tuple[str, tuple[str, ...], di
     if scenes == "tight":
         for scenario, folder in PAIRS.items():
             yield scenario, ("pgf",), {"predictor": str(folder)}
-        for q in (0.5, 1.0) if seed < 2 else ():  # dear: tasks take three to five times as long
+        for q in (0.5, 1.0) if seed < 2 else ():  # dear: up to four times as long
             changes = {"random_winner": q, "tasks": 20}
             yield f"random winner, q = {q:g}", ("pgf", "or-hitl"), changes
 
