@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 from pgf_jax.fleet.robots import Work
 
-FLEET = -1  # in place of a robot, for what concerns all of them
+# In place of a robot, for what concerns all of them.
+FLEET = -1
+OPERATORS = -2
 
 
 def nanoseconds(seconds: float) -> int:
@@ -18,15 +20,17 @@ class Order(enum.IntEnum):
     """Who goes first at one instant: the order of D8, then the robot's index.
 
     D8 does not place the limit of a waiting robot. Here it comes first, so that no operator turns
-    to a robot at the instant at which it has no time left.
+    to a robot at the instant at which it has no time left. Nor does it place the coming and going
+    of operators: one who leaves with an answer takes on nobody at that instant.
     """
 
     EXPIRY = 0
     SERVICE_END = 1
-    EXECUTION_END = 2
-    ITERATION_END = 3
-    WINDOW_CLOSE = 4
-    NEW_TASK = 5
+    ATTENDANCE = 2
+    EXECUTION_END = 3
+    ITERATION_END = 4
+    WINDOW_CLOSE = 5
+    NEW_TASK = 6
 
 
 class Due(NamedTuple):
@@ -40,7 +44,7 @@ class Due(NamedTuple):
 
 
 class Calendar:
-    """What happens when. Each robot (and `FLEET`) has at most one entry: its next event."""
+    """What happens when. Each robot (and `FLEET`, `OPERATORS`) has at most one entry: its next."""
 
     def __init__(self) -> None:
         self._heap: list[Due] = []

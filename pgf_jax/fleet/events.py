@@ -18,11 +18,13 @@ class EventKind(enum.StrEnum):
     GRANT = "grant"  # the service starts
     REFUSED = "refused"  # outcome busy (no operator free), lost (outbid in a window)
     EXPIRED = "expired"  # while waiting; outcome limit (of the task), censored (the horizon)
-    SERVICE_END = "service_end"  # outcome push, go_on; without an input: expired, censored
+    SERVICE_END = "service_end"  # outcome push, go_on; no input: unanswered, expired, censored
     PUSH_DROPPED = "push_dropped"  # no feasible push within the limit
     EXECUTION_END = "execution_end"  # outcome push, reach
     RETREAT_END = "retreat_end"
     TASK_END = "task_end"  # outcome: the Status
+    OPERATOR_AWAY = "operator_away"  # no robot; serves nobody else from now on
+    OPERATOR_BACK = "operator_back"
 
 
 # What ends the waiting that a BID begins (a grant goes on to its SERVICE_END).
@@ -36,7 +38,7 @@ class Event(NamedTuple):
       time_ns: simulated time, ns.
       kind: what happened.
       robot, task: whose; 0-based.
-      request: which input of the task is asked for or given, 0-based. An ask that was refused is
+      request: which service of the task is asked for or given, 0-based. An ask that was refused is
         repeated under the same number: it is the number that the service time is drawn by.
       operator: who serves, 0-based.
       iteration: the last iteration that has ended, counted over the task as in `Work`.

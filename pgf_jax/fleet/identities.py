@@ -66,6 +66,7 @@ _OUTCOMES = {
     "lost": "refused",
     "limit": "expired",
     "expired": "expired",
+    "unanswered": "expired",
     "push": "answered",
     "go_on": "answered",
     "censored": "censored",

@@ -6,7 +6,7 @@ import math
 
 from pgf_jax.fleet.policies import Progress
 from pgf_jax.fleet.robots import IterationResult
-from pgf_jax.planning.types import LOOK_AHEAD, Push, Status
+from pgf_jax.planning.types import LOOK_AHEAD, NoInput, Push, Status
 
 NO_TERMS = (math.nan, math.nan, math.nan)
 
@@ -48,7 +48,8 @@ class TaskRecord:
       answered: inputs given.
       grants: services begun.
       refusals: asks refused, in windows lost too.
-      expired: asks that ended with the task, in line, in a window or while being served.
+      expired: asks that ended with the task, in line, in a window or while being served, and
+        services in which the operator did not answer.
       first_bid, first_grant: reach iterations at the first of each, or None.
       grants_at: reach iterations at each grant.
       successful_grants_at: the same, for grants whose push succeeded.
@@ -119,8 +120,9 @@ class Run:
     pushes_planned: int = 0
     requests: int = 0
     answered: int = 0
+    unanswered: int = 0
     refusals: int = 0
-    expired: int = 0
+    expired: int = 0  # the unanswered included
     first_bid: int | None = None
     grants_at: list[int] = dataclasses.field(default_factory=list)
     successful_grants_at: list[int] = dataclasses.field(default_factory=list)
@@ -158,8 +160,17 @@ class Run:
             if self.helped_cost and self.reach_iterations <= self.helped_until:
                 self.helped_cost[-1] = result.cost
 
-    def answer(self) -> None:
+    @property
+    def request(self) -> int:
+        """Number of the service that is asked for, or under way."""
+        return self.answered + self.unanswered
+
+    def answer(self, given: Push | NoInput | None) -> None:
         """Book an input that is given now: the cost before it, and that those after it count."""
+        if isinstance(given, NoInput):
+            self.unanswered += 1
+            self.expired += 1
+            return
         self.answered += 1
         self.asked_cost.append(self.last_reach.cost if self.last_reach else math.nan)
         self.helped_cost.append(math.nan)

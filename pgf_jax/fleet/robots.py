@@ -4,7 +4,7 @@ import dataclasses
 import enum
 from typing import Protocol
 
-from pgf_jax.planning.types import Push
+from pgf_jax.planning.types import NoInput, Push
 
 
 class WorkKind(enum.StrEnum):
@@ -12,7 +12,8 @@ class WorkKind(enum.StrEnum):
 
     ITERATION = "iteration"  # one planner iteration of the current segment -> IterationResult
     RETREAT = "retreat"  # execute the push found, retract, restart reaching from there -> None
-    INPUT = "input"  # what the operator says of the robot as it stands -> Push, or None: go on
+    # What the operator says of the robot as it stands -> Push, None: go on, or UNANSWERED.
+    INPUT = "input"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Work:
       kind: what to do.
       iteration: ITERATION: its number over the whole task, iteration 0s of every segment included;
         otherwise how many iterations of the task have ended.
-      request: INPUT: the task's input number, 0-based; otherwise None. An input is work because an
+      request: INPUT: number of the service, 0-based; otherwise None. An input is work because an
         operator may try candidate pushes by rollouts, which belong in the shared batch (D8); one
         that needs no rollouts answers at once.
     """
@@ -60,6 +61,9 @@ class IterationResult:
     non_finite: bool = False
 
 
+Result = IterationResult | Push | NoInput | None  # of a piece of work, by its kind
+
+
 class Robots(Protocol):
     """The robots of one fleet. Every method only changes which segment is planned.
 
@@ -84,6 +88,7 @@ class Robots(Protocol):
     def go_on(self, robot: int) -> None:
         """Go on reaching: keep the trajectory, clear the stuck counter.
 
+        Told to, or left alone by an operator who did not answer.
         Not called when the input comes before the task's first iteration (`always`): there is
         nothing to keep or to clear then.
         """

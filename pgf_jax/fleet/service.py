@@ -10,10 +10,11 @@ from pgf_jax.streams import stream
 class ServiceTimes(Protocol):
     """Draws service times. `Fleet` takes any object with this method."""
 
-    def seconds(self, robot: int, task: int, request: int) -> float:
-        """Length in s, not negative, of the service that gives input number `request` of a task.
+    def seconds(self, robot: int, task: int, request: int) -> float | None:
+        """Length in s, not negative, of service number `request` of a task.
 
-        Must depend on the arguments alone.
+        Must depend on the arguments alone. None: it lasts until its input is delivered, or the
+        task's limit has come, as with a person whose answer nobody can foretell.
         """
         ...
 
@@ -31,7 +32,7 @@ class LogNormal:
     mean_s: float
     sd_s: float
 
-    def seconds(self, robot: int, task: int, request: int) -> float:
+    def seconds(self, robot: int, task: int, request: int) -> float | None:
         """The draw; exp(mu + sigma z) with sigma^2 = ln(1 + (sd/mean)^2)."""
         if self.sd_s == 0:
             return self.mean_s

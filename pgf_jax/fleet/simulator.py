@@ -10,18 +10,36 @@ An iteration's end is known when it starts and its outcome is not, so the clock 
 physics until an event needs an outcome that is not there yet (D8). Results depend on nothing but
 each piece of work, so neither batching nor the order of delivery can change what happens.
 `stub.drive` is the loop above for many fleets at once.
+
+With a person as operator the clock must not run ahead of them: `advance(until_ns)` follows the wall
+clock, services are open (see `ServiceTimes`), and an input counts from the instant after the one
+that the fleet has been advanced to. The log then says when, so the same inputs at the same times
+make the same log again.
 """
 
+import math
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
 from pgf_jax.fleet.allocator import Operators, Reply, make_allocator
-from pgf_jax.fleet.clock import FLEET, Calendar, Due, Order, nanoseconds
+from pgf_jax.fleet.clock import FLEET, OPERATORS, Calendar, Due, Order, nanoseconds
 from pgf_jax.fleet.compute import ComputeModel, parse_compute
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.events import Event, EventKind
+from pgf_jax.fleet.ledger import Ledger
 from pgf_jax.fleet.policies import Discipline, make_policy
 from pgf_jax.fleet.records import Run, State, TaskRecord
-from pgf_jax.fleet.robots import IterationResult, Robots, Work, WorkKind
+from pgf_jax.fleet.robots import IterationResult, Result, Robots, Work, WorkKind
 from pgf_jax.fleet.service import LogNormal, ServiceTimes
-from pgf_jax.planning.types import Push, Status
+from pgf_jax.planning.types import NoInput, Push, Status
+
+
+class Attendance(NamedTuple):
+    """An operator comes or leaves."""
+
+    time_ns: int
+    operator: int
+    present: bool
 
 
 class Fleet:
@@ -42,6 +60,7 @@ class Fleet:
         *,
         service: ServiceTimes | None = None,
         compute: ComputeModel | None = None,
+        attendance: Iterable[Attendance] = (),
     ) -> None:
         """Set the fleet up; nothing happens before the first `advance`.
 
@@ -50,6 +69,7 @@ class Fleet:
           robots: told which segment each robot plans.
           service: in place of the log-normal service times of the configuration.
           compute: in place of the compute model that the configuration names.
+          attendance: when operators, all there at first, will leave and come back.
         """
         self.config = config
         self.events: list[Event] = []
@@ -71,68 +91,100 @@ class Fleet:
         self._runs: dict[int, Run] = {}  # robot -> the task it is at
         self._next_task = [0] * config.robots
         self._starting: list[int] = []  # robots that start to plan at this instant
-        self._pending: list[Work] = []  # not handed out yet
-        self._outstanding: set[Work] = set()  # handed out, not delivered yet
-        self._results: dict[Work, IterationResult | Push | None] = {}  # delivered, not needed yet
+        self._ledger = Ledger()
+        self._until_ns = 0  # the latest time that it has been advanced to
         self._calendar = Calendar()
+        self._attendance = sorted(attendance)  # still to come
+        self._schedule_attendance()
         for robot in range(config.robots):
             self._calendar.schedule(0, Order.NEW_TASK, robot)
 
     # --- requests and results -------------------------------------------------------------------
 
-    def advance(self) -> list[Work]:
+    def advance(self, until_ns: int | None = None) -> list[Work]:
         """Process events in time order until one needs a result that is not there yet.
+
+        Args:
+          until_ns: no event after this time; None: no such limit.
 
         Returns:
           All work that has become known since the last call, by robot, at most one a robot. Empty
           when the fleet is done, or waits for work that it has handed out before.
         """
+        if until_ns is not None:
+            self._until_ns = max(self._until_ns, until_ns)
         while not self.done:
             due = self._calendar.peek()
             if self._starting and (due is None or due.time_ns > self.now_ns):
                 self._start_iterations()
             elif due is None:
                 self.done = True
-            elif self._horizon_ns is not None and due.time_ns > self._horizon_ns:
-                self._censor(self._horizon_ns)
-            elif due.work is not None and due.work not in self._results:
+            elif until_ns is not None and until_ns < min(due.time_ns, self._last_ns):
+                break
+            elif due.time_ns > self._last_ns:
+                self._censor(int(self._last_ns))
+            elif self._ledger.lacks(due.work):
                 break
             else:
                 self._happen(self._calendar.pop())
-        pending = sorted(self._pending, key=lambda work: work.robot)
-        self._pending = []
-        self._outstanding.update(pending)
-        return pending
+        return self._ledger.hand_out()
 
-    def deliver(self, work: Work, result: IterationResult | Push | None) -> None:
+    def deliver(self, work: Work, result: Result) -> None:
         """Hand in the result of a piece of work; nothing happens before the next `advance`.
 
-        A result that comes after the fleet is done (its horizon cut the work off) is ignored.
+        A result that comes after the fleet is done (its horizon cut the work off) is ignored. The
+        input of an open service ends it at the first instant that has not been advanced to.
 
         Raises:
           ValueError: the work was not handed out, or has been delivered before.
           TypeError: the result is not of the type that the work's kind asks for.
         """
-        if work not in self._outstanding:
-            raise ValueError(f"not outstanding: {work}")
-        expected = {
-            WorkKind.ITERATION: IterationResult,
-            WorkKind.RETREAT: type(None),
-            WorkKind.INPUT: Push | None,
-        }[work.kind]
-        if not isinstance(result, expected):
-            raise TypeError(f"{work.kind} cannot result in {result!r}")
-        self._outstanding.remove(work)
-        if not self.done:
-            self._results[work] = result
+        if self._ledger.hand_in(work, result) and not self.done:
+            self._calendar.schedule(self._next_ns(), Order.SERVICE_END, work.robot, work)
+
+    def attend(self, operator: int, present: bool) -> None:
+        """An operator comes or leaves at the first instant that has not been advanced to."""
+        self._attendance.append(Attendance(self._next_ns(), operator, present))
+        self._schedule_attendance()
+
+    def stop(self) -> None:
+        """The horizon is the first instant that has not been advanced to."""
+        self._horizon_ns = self._next_ns()
+
+    # --- to look at -----------------------------------------------------------------------------
+
+    def run(self, robot: int) -> Run | None:
+        """A robot's task as it stands, not to be changed; None before its first."""
+        return self._runs.get(robot)
+
+    @property
+    def operators(self) -> Operators:
+        """Who is there, and busy with whom; not to be changed."""
+        return self._operators
+
+    @property
+    def waits_for_ns(self) -> int | None:
+        """Time of the next event, if it needs a result that is not there; else None."""
+        due = self._calendar.peek()
+        return due.time_ns if due is not None and self._ledger.lacks(due.work) else None
+
+    @property
+    def _last_ns(self) -> float:
+        """Nothing happens after this."""
+        return math.inf if self._horizon_ns is None else self._horizon_ns
+
+    def _next_ns(self) -> int:
+        return max(self._until_ns, self.now_ns) + 1
 
     # --- events ---------------------------------------------------------------------------------
 
     def _happen(self, due: Due) -> None:
         self.now_ns = due.time_ns
-        result = None if due.work is None else self._results.pop(due.work)
+        result = self._ledger.use(due.work)
         if due.order is Order.WINDOW_CLOSE:
             self._on_window_close()
+        elif due.order is Order.ATTENDANCE:
+            self._on_attendance()
         elif due.order is Order.NEW_TASK:
             self._on_new_task(due.robot)
         else:
@@ -140,7 +192,7 @@ class Fleet:
             if due.order is Order.EXPIRY:
                 self._on_expiry(run)
             elif due.order is Order.SERVICE_END:
-                assert result is None or isinstance(result, Push)
+                assert not isinstance(result, IterationResult)
                 self._on_service_end(run, result, expired=due.work is None)
             elif due.order is Order.EXECUTION_END:
                 self._on_execution_end(run, retreated=due.work is not None)
@@ -193,27 +245,38 @@ class Fleet:
         for robot in losers:
             self._refuse(self._runs[robot], "lost")
 
+    def _on_attendance(self) -> None:
+        _, operator, present = self._attendance.pop(0)
+        self._operators.attend(operator, present)
+        kind = EventKind.OPERATOR_BACK if present else EventKind.OPERATOR_AWAY
+        self._log(kind, operator=operator)
+        self._schedule_attendance()
+        self._match()
+
     def _on_expiry(self, run: Run) -> None:
         self._allocator.withdraw(run.robot)
         run.expired += 1
-        self._log(EventKind.EXPIRED, run, request=run.answered, outcome="limit")
+        self._log(EventKind.EXPIRED, run, request=run.request, outcome="limit")
         self._end_task(run, run.failure())
 
-    def _on_service_end(self, run: Run, push: Push | None, *, expired: bool) -> None:
+    def _on_service_end(self, run: Run, given: Push | NoInput | None, *, expired: bool) -> None:
         operator = self._operators.release(run.robot)
-        ending = {"request": run.answered, "operator": operator}
+        ending: dict[str, Any] = {"request": run.request, "operator": operator}
         if expired:
+            self._ledger.close(run.robot)
             run.expired += 1
             self._log(EventKind.SERVICE_END, run, outcome="expired", **ending)
             self._end_task(run, run.failure())
         else:
-            run.answer()
-            if push is not None:
-                ending |= {"object": push.object, "x": push.x, "y": push.y}
-            self._log(EventKind.SERVICE_END, run, outcome="push" if push else "go_on", **ending)
-            if push is not None:
-                self._robots.start_push(run.robot, push)
-                run.push = push
+            if isinstance(given, Push):
+                ending |= {"object": given.object, "x": given.x, "y": given.y, "outcome": "push"}
+            else:
+                ending["outcome"] = "go_on" if given is None else given.value
+            self._log(EventKind.SERVICE_END, run, **ending)
+            run.answer(given)
+            if isinstance(given, Push):
+                self._robots.start_push(run.robot, given)
+                run.push = given
                 run.push_deadline_ns = self.now_ns + nanoseconds(self.config.push_limit_s)
                 run.pushes_planned += 1
                 run.new_segment()
@@ -316,15 +379,14 @@ class Fleet:
         for robot, run in sorted(self._runs.items()):
             if run.state is State.IDLE:
                 continue
-            cut = {"request": run.answered, "outcome": "censored"}
+            cut = {"request": run.request, "outcome": "censored"}
             if run.state in (State.IN_WINDOW, State.IN_LINE):
                 self._log(EventKind.EXPIRED, run, **cut)
             elif run.state is State.SERVED:
                 operator = self._operators.release(robot)
                 self._log(EventKind.SERVICE_END, run, operator=operator, **cut)
             self._end_task(run, Status.CENSORED)
-        self._pending.clear()
-        self._results.clear()
+        self._ledger.clear()
         self.done = True
 
     # --- asks and operators (Alg. 2) ------------------------------------------------------------
@@ -345,7 +407,7 @@ class Fleet:
         if run.first_bid is None:
             run.first_bid = run.reach_iterations
         iteration = run.work_iterations - 1 if run.work_iterations else None
-        self._log(EventKind.BID, run, request=run.answered, iteration=iteration, gain=bid)
+        self._log(EventKind.BID, run, request=run.request, iteration=iteration, gain=bid)
         if reply is Reply.REFUSED:
             self._refuse(run, "busy")
             return
@@ -360,33 +422,45 @@ class Fleet:
 
     def _refuse(self, run: Run, outcome: str) -> None:
         run.refusals += 1
-        self._log(EventKind.REFUSED, run, request=run.answered, outcome=outcome)
+        self._log(EventKind.REFUSED, run, request=run.request, outcome=outcome)
         self._plan(run)
 
     def _grant(self, run: Run) -> None:
         operator, switched = self._operators.take(run.robot)
         run.grants_at.append(run.reach_iterations)
-        self._log(EventKind.GRANT, run, request=run.answered, operator=operator)
-        seconds = self._service.seconds(run.robot, run.task, run.answered)
-        if switched:
+        self._log(EventKind.GRANT, run, request=run.request, operator=operator)
+        seconds = self._service.seconds(run.robot, run.task, run.request)
+        if switched and seconds is not None:
             seconds += self.config.context_switch_s
-        end_ns = self.now_ns + nanoseconds(seconds)
         run.enter(State.SERVED, self.now_ns)
+        if seconds is None:
+            self._ledger.request(self._input(run), is_open=True)
+            self._calendar.schedule(run.deadline_ns, Order.SERVICE_END, run.robot)
+            return
+        end_ns = self.now_ns + nanoseconds(seconds)
         # A service that would outlast the task's limit ends there, without an input: the robot has
         # no time left to use one, and the operator is free for the others. An input that comes at
         # the limit itself is in time.
         work = None
         if end_ns <= run.deadline_ns:
-            work = Work(run.robot, run.task, WorkKind.INPUT, run.work_iterations, run.answered)
+            work = self._input(run)
             self._request(work, end_ns)
         self._calendar.schedule(min(end_ns, run.deadline_ns), Order.SERVICE_END, run.robot, work)
+
+    @staticmethod
+    def _input(run: Run) -> Work:
+        return Work(run.robot, run.task, WorkKind.INPUT, run.work_iterations, run.request)
+
+    def _schedule_attendance(self) -> None:
+        if self._attendance:
+            self._calendar.schedule(self._attendance[0].time_ns, Order.ATTENDANCE, OPERATORS)
 
     # --- small helpers --------------------------------------------------------------------------
 
     def _request(self, work: Work, needed_ns: int) -> None:
         """Ask for work, unless the horizon comes before its result is needed."""
         if self._horizon_ns is None or needed_ns <= self._horizon_ns:
-            self._pending.append(work)
+            self._ledger.request(work)
 
     def _log(self, kind: EventKind, run: Run | None = None, **columns) -> None:
         if run is not None:

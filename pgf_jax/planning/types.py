@@ -20,9 +20,18 @@ class Status(enum.StrEnum):
 class Push:
     """Human input: push object number `object` (0-based) until its centre is at (x, y), metres.
 
-    "Go on reaching", the other possible input, is `None`.
+    "Go on reaching", the other possible input, is `None`; that none came, `UNANSWERED`.
     """
 
     object: int
     x: float
     y: float
+
+
+class NoInput(enum.Enum):
+    """What comes of a service in which the operator says nothing."""
+
+    UNANSWERED = "unanswered"
+
+
+UNANSWERED = NoInput.UNANSWERED
