@@ -50,7 +50,13 @@ class Once(NamedTuple):
     make: "Callable[[], Deliberation]"
 
 
-Request = Step | Retreat | Gain | Once
+class Later(NamedTuple):
+    """Something from outside the computer, such as a person's answer; it comes in its own time."""
+
+    subscribe: Callable[[Callable[[Any], None]], None]  # is given what to call with the result
+
+
+Request = Step | Retreat | Gain | Once | Later
 Deliberation = Generator[list[Request], list[Any], Any]
 Words = Callable[[int], tuple[int, int, int, int, int]]
 

@@ -7,6 +7,7 @@ shares a call (D8).
 
 import copy
 import functools
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,12 +16,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgf_jax.guidance.trials import Deliberation, Gain, Once, Request, Retreat, Step
+from pgf_jax.guidance.trials import (
+    Deliberation,
+    Gain,
+    Later,
+    Once,
+    Request,
+    Retreat,
+    Step,
+    own_words,
+)
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import Engine, make_engine
 from pgf_jax.planning.config import Cost
 from pgf_jax.planning.config import Planner as PlannerConfig
-from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.planner import BatchPlanner, Search
 from pgf_jax.study.checks import Planning
 
 
@@ -99,6 +109,9 @@ class _Job:
         self.missing = 0
 
 
+Asked = tuple[_Job, int, Request]  # a request, who asks, and as which of theirs
+
+
 class _Shared:
     """The result of a `Once`, and who waits for it."""
 
@@ -112,8 +125,8 @@ class Queue:
 
     def __init__(self, computer: Computer) -> None:
         self._computer = computer
-        self._steps: deque[tuple[_Job, int, Request]] = deque()
-        self._others: list[tuple[_Job, int, Request]] = []
+        self._steps: deque[Asked] = deque()
+        self._others: list[Asked] = []
 
     def __len__(self) -> int:
         """Requests in line."""
@@ -125,16 +138,27 @@ class Queue:
 
     def round(self) -> None:
         """One call's worth of iterations, and what else is asked meanwhile."""
-        lanes = self._computer.engine.lanes
-        self._answer([self._steps.popleft() for _ in range(min(lanes, len(self._steps)))])
+        self._answer(self.take_steps())
         while self._others:  # gains of the iterations just made, say
-            others, self._others = self._others, []
-            self._answer(others)
+            self._answer(self.take_others())
 
-    def _answer(self, batch: list[tuple[_Job, int, Request]]) -> None:
-        results = self._computer.compute([request for *_, request in batch])
+    def take_steps(self) -> list[Asked]:
+        """Take one call's worth of iterations off the line, for `tell`."""
+        lanes = self._computer.engine.lanes
+        return [self._steps.popleft() for _ in range(min(lanes, len(self._steps)))]
+
+    def take_others(self) -> list[Asked]:
+        """Take all that is no iteration off the line, for `tell`."""
+        others, self._others = self._others, []
+        return others
+
+    def tell(self, batch: Sequence[Asked], results: Sequence[Any]) -> None:
+        """Pass results on to who asked, whose further requests join the line."""
         for (job, place, _), result in zip(batch, results, strict=True):
             self._tell(job, place, result)
+
+    def _answer(self, batch: Sequence[Asked]) -> None:
+        self.tell(batch, self._computer.compute([request for *_, request in batch]))
 
     def _tell(self, job: _Job, place: int, result: Any) -> None:
         job.answers[place] = result
@@ -161,6 +185,8 @@ class Queue:
     def _ask(self, job: _Job, place: int, request: Request) -> None:
         if isinstance(request, Once):
             self._ask_once(job, place, request)
+        elif isinstance(request, Later):
+            request.subscribe(functools.partial(self._tell, job, place))
         else:
             line = self._steps if isinstance(request, Step) else self._others
             line.append((job, place, request))
@@ -181,6 +207,15 @@ class Queue:
         waiting, shared.waiting = shared.waiting, []
         for job, place in waiting:
             self._tell(job, place, result)
+
+
+def warm_up(computer: Computer, search: Search, seed: int) -> float:
+    """One iteration for nobody, so that its compilation is not mistaken for its time; s."""
+    start = time.perf_counter()
+    computer.compute([Step(search, own_words(seed, 0, 0, 0)(0))])
+    computer.occupancy()
+    computer.steps = computer.saturated = 0
+    return time.perf_counter() - start
 
 
 def planning_computer(config: Planning, n_objects: int) -> Computer:

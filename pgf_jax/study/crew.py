@@ -22,7 +22,7 @@ from pgf_jax.guidance.state import describe
 from pgf_jax.guidance.trials import Bidder, Deliberation
 from pgf_jax.guidance.true_gain import TrueGain
 from pgf_jax.planning.planner import Search
-from pgf_jax.planning.types import Push
+from pgf_jax.planning.types import UNANSWERED, Push
 from pgf_jax.scene.scene import Scene, class_of
 from pgf_jax.study.computer import Computer, Queue
 from pgf_jax.study.trees import Node, Trees
@@ -47,7 +47,7 @@ class Robot:
     at: Node
     executed: list[Segment]
     log: RunLog
-    inputs: int = 0  # asked for so far
+    inputs: int = 0  # services that have ended, those without an answer included
     dropped: int = 0  # pushes given since the shelf last changed that could not be planned
     reached: Node | None = None  # while pushing: the reach that was asked about
 
@@ -177,10 +177,11 @@ class Crew:
 
     def _ask(self, work: Work) -> Deliberation:
         r = self.robots[work.robot]
-        r.log.input_given()
-        (push,) = yield [self._input(r, (*self._whose(work), work.iteration))]
+        (given,) = yield [self._input(r, (*self._whose(work), work.iteration))]
         r.inputs += 1
-        return push
+        if given is not UNANSWERED:
+            r.log.input_given()
+        return given
 
     # -- what follows from a node -----------------------------------------------------------------
 

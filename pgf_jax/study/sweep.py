@@ -14,8 +14,10 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet.metrics import CellSummary, summarise
 from pgf_jax.guidance.tables import write_atomically
 from pgf_jax.study import results
+from pgf_jax.study.event_log import read_log
 from pgf_jax.study.figures import figure6, png
 from pgf_jax.study.manifest import manifest
+from pgf_jax.study.recording import LIVE, compare, replaying
 from pgf_jax.study.sweep_config import Cell, SweepConfig
 from pgf_jax.study.sweep_report import Report, summary_tables
 from pgf_jax.study.sweep_run import Effort, Job, run_cells, run_cells_in_processes
@@ -95,6 +97,7 @@ def sweeps(
       KeyboardInterrupt: interrupted; finished cells are kept.
     """
     start = time.perf_counter()
+    configs = [_as_recorded(config) for config in configs]
     folders = [config.out.resolve() for config in configs]
     for i, folder in enumerate(folders):
         if folder in folders[:i]:
@@ -118,6 +121,7 @@ def sweeps(
     for setup, cells in zip(setups, kept, strict=True):
         outcome = _conclude(setup, cells, efforts, time.perf_counter() - start, len(configs))
         outcomes.append(outcome)
+        _compare(setup.config, outcome)
         if tables and not quiet:
             Console().print(summary_tables(outcome.summaries))
             Console().print(
@@ -171,6 +175,22 @@ def _conclude(
     write_atomically(config.out / MANIFEST, results.json_bytes(about))
     computed = tuple(cell.name for cell in cells if cell not in kept)
     return SweepResult(config.out, tuple(summaries), tuple(paired), computed)
+
+
+def _as_recorded(config: SweepConfig) -> SweepConfig:
+    if config.operator == LIVE:
+        raise BadInput("operator: live is for pgf-jax console; expected a simulated one")
+    return config if config.log is None else replaying(config, read_log(config.log))
+
+
+def _compare(config: SweepConfig, outcome: SweepResult) -> None:
+    """A replay that is no replay must not pass for one."""
+    if config.log is None:
+        return
+    events = results.event_log(outcome.events().select(list(results.EVENT_SCHEMA)))
+    difference = compare(events, read_log(config.log))
+    if difference is not None:
+        raise BadInput(difference)
 
 
 # -- the folder of results ---------------------------------------------------------------------

@@ -107,7 +107,9 @@ class SweepConfig:
         instead of the cheapest: an ablation of the published source's faults.
       scene_class: of the sampled scenes; all: the three in turn; None: tight.
       scenes: folder of scene files (*.xml) to draw the tasks from instead.
-      operator: who gives the human input: heuristic, none, or another registered one.
+      operator: who gives the human input: heuristic, none, or another registered one; replay: who
+        did in a recorded session, whose settings are taken over.
+      log: of replay: the session's folder, or its event log.
       operators: how many people help the fleet.
       service_mean: mean of the log-normal service time, s.
       service_sd: its standard deviation, s; 0 makes it constant.
@@ -143,6 +145,7 @@ class SweepConfig:
     scene_class: Literal["tight", "medium", "wide", "all"] | None = None
     scenes: Path | None = None
     operator: str = "heuristic"
+    log: Path | None = None
     operators: int = 1
     service_mean: float = 8.0
     service_sd: float = 4.0
@@ -190,12 +193,17 @@ class SweepConfig:
                 f"compute: expected dedicated, or shared:C with C cores, got {self.compute!r}"
             ) from None
         self._check_lists()
+        if (self.log is not None) != (self.operator == "replay"):
+            raise BadInput(
+                f"log: expected with operator replay and only with it, got {self.log} with "
+                f"{self.operator!r}"
+            )
         for cell in self.cells():
             self.fleet(cell)
 
     def _take_paths_and_lists(self) -> None:
         object.__setattr__(self, "predictor", str(self.predictor))  # a folder may be a Path
-        for name in ("scenes", "out"):
+        for name in ("scenes", "log", "out"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, Path(getattr(self, name)))
         for name in ("robots", "policies"):

@@ -5,11 +5,8 @@ import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import Any, NamedTuple, Protocol
 
-from pgf_jax.fleet import Fleet
-from pgf_jax.guidance.operators import make_operator
-from pgf_jax.guidance.trials import Deliberation, Step, own_words
-from pgf_jax.study.computer import Computer, Queue
 from pgf_jax.study.computer import computer as make_computer
+from pgf_jax.study.computer import warm_up
 from pgf_jax.study.crew import Crew, drive
 from pgf_jax.study.processes import Say, Stopped, run_in_processes
 from pgf_jax.study.results import events_frame, tasks_frame, write_cell
@@ -105,10 +102,11 @@ def _run_alike(
             trees[setup.lineage()] = Trees(
                 computer,
                 scenes=setup.scene,
-                operator=make_operator(setup.config.operator),
+                operator=setup.operator(),
                 seed=setup.config.seed,
             )
-    compile_s = _warm_up(computer, trees[setups[jobs[0].sweep].lineage()])
+    setup = setups[jobs[0].sweep]
+    compile_s = warm_up(computer, trees[setup.lineage()].tree(0, 0).root.search, setup.config.seed)
     crews, fleets = [], []
     for number, cell in jobs:
         setup = setups[number]
@@ -119,7 +117,7 @@ def _run_alike(
             predictor=setup.bidder_of(cell),
         )
         crews.append(crew)
-        fleets.append(Fleet(setup.config.fleet(cell), crew))
+        fleets.append(setup.new_fleet(cell, crew))
     running = dict(zip(jobs, fleets, strict=True))
 
     def after_round() -> None:
@@ -148,22 +146,6 @@ def _run_alike(
         *computer.occupancy(),
         computer.saturated,
     )
-
-
-def _warm_up(computer: Computer, trees: Trees) -> float:
-    """One iteration for nobody, so that its compilation is not mistaken for its time; s."""
-    start = time.perf_counter()
-    search = trees.tree(0, 0).root.search
-
-    def step() -> Deliberation:
-        yield [Step(search, own_words(trees.seed, 0, 0, 0)(0))]
-
-    queue = Queue(computer)
-    queue.add(step(), lambda result: None)
-    queue.round()
-    computer.occupancy()
-    computer.steps = computer.saturated = 0
-    return time.perf_counter() - start
 
 
 def _grouped(items: Iterable[Any], key: Callable[[Any], Hashable]) -> list[list[Any]]:

@@ -11,8 +11,11 @@ import jax
 import numpy as np
 
 from pgf_jax.errors import BadInput
+from pgf_jax.fleet import Fleet
+from pgf_jax.fleet.robots import Robots
 from pgf_jax.guidance.bidders import NETWORKS, Choice, choice
 from pgf_jax.guidance.checkpoint import PAIR, checkpoint_name, shipped_checkpoints
+from pgf_jax.guidance.operators import AnyOperator, make_operator
 from pgf_jax.guidance.predictor import Bidder
 from pgf_jax.guidance.true_gain import TrueGain
 from pgf_jax.physics.config import PHYSICS
@@ -21,6 +24,8 @@ from pgf_jax.scene import Scene, load_scenes, sample_scene
 from pgf_jax.scene.sampling import OBJECTS, PRESETS
 from pgf_jax.streams import stream
 from pgf_jax.study.checks import check_operator
+from pgf_jax.study.event_log import read_log
+from pgf_jax.study.recording import LIVE, REPLAY, Recording
 from pgf_jax.study.results import sha256
 from pgf_jax.study.sweep_config import Cell, SweepConfig
 
@@ -41,6 +46,7 @@ class Setup:
       classifier: what the policy `classifier` bids by; None where it is not run.
       predictor_files: per network: digest of its file, and what it was trained on.
       n_objects: N of every scene.
+      recording: the operator of a recorded session, where there is one.
     """
 
     config: SweepConfig
@@ -49,6 +55,22 @@ class Setup:
     classifier: Bidder | None
     predictor_files: Mapping[str, Mapping[str, Any]]
     n_objects: int
+    recording: Recording | None = None
+
+    def operator(self) -> AnyOperator:
+        """Who gives the input."""
+        return self.recording or make_operator(self.config.operator)
+
+    def new_fleet(self, cell: Cell, crew: Robots) -> Fleet:
+        """The fleet of a cell."""
+        if self.recording is None:
+            return Fleet(self.config.fleet(cell), crew)
+        return Fleet(
+            self.config.fleet(cell),
+            crew,
+            service=self.recording,
+            attendance=self.recording.attendance,
+        )
 
     def bidder_of(self, cell: Cell) -> Bidder | TrueGain | None:
         """Where the numbers come from that a cell's robots may bid; they are logged in any case."""
@@ -72,7 +94,8 @@ class Setup:
         """What a task's tree depends on (`trees.py`)."""
         c = self.config
         scenes = c.sampled_class() if self.files is None else scenes_digest(self.files)
-        return self.programs(), c.seed, scenes, c.operator
+        said = None if self.recording is None else self.recording.sha256
+        return self.programs(), c.seed, scenes, c.operator, said
 
     def scene(self, robot: int, task: int) -> Scene:
         """The scene of a task: of (seed, robot, task), whatever the policy and the fleet's size."""
@@ -98,7 +121,12 @@ def prepare(config: SweepConfig, loaded: Loaded | None = None) -> Setup:
     Raises:
       BadInput: one line that names the field or the file.
     """
-    check_operator(config.operator)
+    recording = None
+    if config.operator == REPLAY:
+        assert config.log is not None
+        recording = Recording.of(read_log(config.log))
+    elif config.operator != LIVE:
+        check_operator(config.operator)
     files = None
     n_objects = OBJECTS
     if config.scenes is not None:
@@ -127,7 +155,7 @@ def prepare(config: SweepConfig, loaded: Loaded | None = None) -> Setup:
     if "classifier" in policies:
         classifier, more = load(Choice("classifier", chosen.folder))
         described = described | more
-    return Setup(config, files, bidder, classifier, described, n_objects)
+    return Setup(config, files, bidder, classifier, described, n_objects, recording)
 
 
 def task_scene(
@@ -200,6 +228,7 @@ def identity(setup: Setup, cell: Cell) -> dict[str, Any]:
         "scene_class": config.sampled_class(),
         "scenes": None if files is None else scenes_digest(files),
         "operator": config.operator,
+        **({} if setup.recording is None else {"log": setup.recording.sha256}),
         "predictors": {n: setup.predictor_files[n]["sha256"] for n in setup.networks_of(cell)},
         "versions": {name: importlib.metadata.version(name) for name in _DECISIVE},
         "device": f"{jax.default_backend()}: {jax.devices()[0].device_kind}",

@@ -1,0 +1,315 @@
+"""Event logs as files: one format for people and simulated operators.
+
+A session writes `events.jsonl` as it goes: a first line that says what the session depends on, then
+a line an event, each with the columns that apply. `events.parquet` is the same as a table; sweeps
+write theirs as such a table too, of one fleet or, with the columns `policy` and `robots`, of many.
+"""
+
+import contextlib
+import dataclasses
+import io
+import json
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pgf_jax.errors import BadInput
+from pgf_jax.fleet.events import Event, EventKind
+from pgf_jax.guidance.tables import read_provenance, write_table
+from pgf_jax.study.results import (
+    EVENT_SCHEMA,
+    MERGED_EVENT_SCHEMA,
+    event_log,
+    events_frame,
+    read_results,
+    sha256,
+)
+
+JOURNAL, TABLE = "events.jsonl", "events.parquet"
+FORMAT = 1
+_KIND = "pgf_jax session"
+_HEADER = 1 << 20  # bytes, more than any header takes
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class EventLog:
+    """What a log holds.
+
+    Attributes:
+      path: the file.
+      fleets: events of each fleet, in order; a session has one.
+      about: `settings` and `identity` of the session that wrote it, and whatever else it said of
+        itself; empty for the log of a sweep.
+      size: bytes of it that could be read: a process that was killed leaves a part of a line.
+    """
+
+    path: Path
+    fleets: list[list[Event]]
+    about: Mapping[str, Any]
+    size: int = 0
+
+    @property
+    def settings(self) -> dict[str, Any] | None:
+        """Of the session; None in the log of a sweep."""
+        return self.about.get("settings")
+
+    @property
+    def events(self) -> list[Event]:
+        """Of the one fleet.
+
+        Raises:
+          BadInput: the log is of several.
+        """
+        if len(self.fleets) != 1:
+            raise BadInput(f"{self.path}: expected the log of one fleet, got {len(self.fleets)}")
+        return self.fleets[0]
+
+
+def read_log(path: Path | str) -> EventLog:
+    """Read an event log.
+
+    Args:
+      path: `events.jsonl`, `events.parquet`, or the folder of a session or of a sweep.
+
+    Raises:
+      BadInput: one line that names the file: missing, corrupt, or no event log. A last line that
+        was cut off is left out: a killed session's log is a log.
+    """
+    path = Path(path)
+    if path.is_dir():
+        # A session that goes on has no table; one that has ended has the end in the table only.
+        found = [path / name for name in (TABLE, JOURNAL) if (path / name).is_file()]
+        if not found:
+            raise BadInput(f"{path}: expected a folder with {TABLE} or {JOURNAL}")
+        path = found[0]
+    if path.suffix == ".jsonl":
+        return _read_journal(path)
+    frame = _read_table(path)
+    about = {}
+    if "policy" not in frame.columns:
+        fleets = [event_log(frame)]
+        about = _provenance(path)
+    else:
+        parts = frame.partition_by("policy", "robots", maintain_order=True)
+        fleets = [event_log(part.select(list(EVENT_SCHEMA))) for part in parts]
+    for events in fleets:
+        for number, event in enumerate(events):
+            _check(event, events[number - 1] if number else None, f"{path}: row {number + 1}")
+    return EventLog(path, fleets, about)
+
+
+def write_log(path: Path, events: Iterable[Event], about: Mapping[str, Any]) -> None:
+    """Write the log of a session as a table."""
+    write_table(path, events_frame(events), about)
+
+
+def first_difference(events: Sequence[Event], log: Sequence[Event]) -> int | None:
+    """Index of the first event of a log that is not the one at its place; None if they all are."""
+    for number, theirs in enumerate(log):
+        if number == len(events) or line(events[number]) != line(theirs):
+            return number
+    return None
+
+
+def digest(events: Iterable[Event]) -> str:
+    """Of a log's events, however they are stored."""
+    return sha256("".join(map(line, events)).encode())
+
+
+# -- lines ---------------------------------------------------------------------------------------
+
+
+def line(event: Event) -> str:
+    """An event as a line of JSON, newline included; what is not known (nan) is left out."""
+    columns = {}
+    for name, value in zip(Event._fields, event, strict=True):
+        if value is None or (isinstance(value, float) and math.isnan(value)):
+            continue
+        # JSON has no word for it, and a bid of a stuck robot is just that.
+        columns[name] = "inf" if value == math.inf else value
+    return json.dumps(columns) + "\n"
+
+
+def _event(columns: Any, where: str) -> Event:
+    if not isinstance(columns, dict):
+        raise BadInput(f"{where}: expected an event (a JSON object), got {_short(columns)}")
+    columns = dict(columns)
+    for name in columns:
+        if name not in Event._fields:
+            raise BadInput(f"{where}: {_short(name)} is no column of an event")
+    if columns.get("gain") == "inf":
+        columns["gain"] = math.inf
+    for name in ("gain", "x", "y"):
+        if type(columns.get(name)) is int:
+            columns[name] = float(columns[name])
+    for name in ("time_ns", "kind"):
+        if name not in columns:
+            raise BadInput(f"{where}: expected an event with {name}, got none")
+    if columns["kind"] not in set(EventKind):
+        raise BadInput(f"{where}: unknown kind of event {_short(columns['kind'])}")
+    for name, value in columns.items():
+        wanted = {pl.Int64(): int, pl.Float64(): float, pl.String(): str}[EVENT_SCHEMA[name]]
+        if type(value) is not wanted:
+            raise BadInput(f"{where}: {name} must be {EVENT_SCHEMA[name]}, got {_short(value)}")
+    return Event(**(columns | {"kind": EventKind(columns["kind"])}))
+
+
+def _check(event: Event, before: Event | None, where: str) -> None:
+    """What `Event` and the order of a log promise."""
+    for name in ("time_ns", "robot", "task", "request", "operator", "iteration", "object"):
+        value = getattr(event, name)
+        # One number less than the iterations that have ended: -1 stands nowhere.
+        if value is not None and not 0 <= value < 2**62:
+            raise BadInput(f"{where}: {name} must be 0 or more, got {value}")
+    for name in ("x", "y"):
+        value = getattr(event, name)
+        if value is not None and not math.isfinite(value):
+            raise BadInput(f"{where}: {name} must be a finite number, got {value}")
+    if before is not None and event.time_ns < before.time_ns:
+        raise BadInput(
+            f"{where}: time_ns {event.time_ns} is before the {before.time_ns} of the one above"
+        )
+
+
+def _read_journal(path: Path) -> EventLog:
+    about: dict[str, Any] = {}
+    events: list[Event] = []
+    size = 0
+    try:
+        with path.open("rb") as file:
+            for number, text in enumerate(iter(lambda: file.readline(_HEADER), b"")):
+                where = f"{path}: line {number + 1}"
+                if not text.endswith(b"\n"):
+                    if len(text) == _HEADER:
+                        raise BadInput(f"{where}: is longer than that of any event")
+                    break  # cut off
+                content = _json(text, where)
+                if number == 0:
+                    about = _header(content, where)
+                else:
+                    event = _event(content, where)
+                    _check(event, events[-1] if events else None, where)
+                    events.append(event)
+                size += len(text)
+    except OSError as error:
+        raise BadInput(
+            f"{path}: cannot be read ({error.strerror}), expected an event log"
+        ) from None
+    if not about:
+        raise BadInput(f"{path}: is empty, expected an event log")
+    return EventLog(path, [events], about, size)
+
+
+def _json(text: bytes, where: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        raise BadInput(f"{where}: expected JSON, got {_short(text)}") from None
+
+
+def _header(content: Any, where: str) -> dict[str, Any]:
+    if not isinstance(content, dict) or content.get("what") != _KIND:
+        raise BadInput(f"{where}: expected the head of an event log, got {_short(content)}")
+    if content.get("format") != FORMAT:
+        raise BadInput(f"{where}: format {_short(content.get('format'))}, expected {FORMAT}")
+    for name in ("settings", "identity"):
+        if not isinstance(content.get(name), dict):
+            raise BadInput(f"{where}: expected {name} of the session, got none")
+    return content
+
+
+def _read_table(path: Path) -> pl.DataFrame:
+    merged = False
+    # What is wrong with a file is said better below.
+    with contextlib.suppress(pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError):
+        merged = "policy" in pl.read_parquet_schema(path)
+    frame = read_results(path, MERGED_EVENT_SCHEMA if merged else EVENT_SCHEMA)
+    unknown = set(frame["kind"].unique()) - set(EventKind)
+    if unknown:
+        raise BadInput(f"{path}: unknown kind of event {_short(sorted(map(str, unknown))[0])}")
+    if frame["time_ns"].null_count():
+        raise BadInput(f"{path}: time_ns is missing in {frame['time_ns'].null_count()} rows")
+    return frame
+
+
+def _provenance(path: Path) -> Mapping[str, Any]:
+    try:
+        about = read_provenance(path)
+    except BadInput:  # a cell of a sweep does not say
+        return {}
+    return about if isinstance(about, dict) else {}
+
+
+def _short(value: object) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+# -- the journal ---------------------------------------------------------------------------------
+
+
+class Journal:
+    """Writes `events.jsonl` as things happen.
+
+    What `append` has returned from is on the disk: a process that is killed, or a computer that is
+    switched off, loses nothing that was acknowledged.
+    """
+
+    def __init__(self, path: Path, about: Mapping[str, Any] | None, *, keep: int = 0) -> None:
+        """Begin a journal, or go on with one.
+
+        Args:
+          path: the file.
+          about: `settings` and `identity` for a new one; None: go on.
+          keep: bytes of the old one that could be read; the rest is cut off.
+
+        Raises:
+          BadInput: the file cannot be written, or, for a new one, is there.
+        """
+        self.path = path
+        try:
+            if about is None:
+                self._file: io.BufferedIOBase = path.open("r+b")
+                self._file.truncate(keep)
+                self._file.seek(keep)
+            else:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self._file = path.open("xb")
+                head = {"what": _KIND, "format": FORMAT, **about}
+                self._file.write((json.dumps(head) + "\n").encode())
+        except FileExistsError:
+            raise BadInput(f"{path}: exists; expected a new folder, or --resume") from None
+        except OSError as error:
+            raise BadInput(f"{path}: cannot be written ({error.strerror})") from None
+        self._sync()
+        folder = os.open(path.parent, os.O_RDONLY)  # the file's name is to be on the disk, too
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def append(self, events: Sequence[Event]) -> None:
+        """Write events; they are on the disk when this returns.
+
+        Raises:
+          BadInput: they could not be written.
+        """
+        if not events:
+            return
+        self._file.write("".join(map(line, events)).encode())
+        self._sync()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _sync(self) -> None:
+        try:
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise BadInput(f"{self.path}: cannot be written ({error.strerror})") from None
