@@ -6,7 +6,8 @@ have no help. In a human run the operator gives one input, after a reach iterati
 input takes no simulated time, which would only cut runs short at random. Runs solved before their
 turn comes hold no input, and give no rows.
 
-Forks (`study.forks`) are collected in the same way.
+Forks (`study.forks`) are collected in the same way. Human runs can be taken from recorded sessions
+instead (`study.collect_sessions`), in which people give as many inputs as they are asked for.
 
 Runs are written in parts as scenes end, and merged into `runs.parquet` when all are there; what a
 run holds depends on its scene and the settings alone, so the file is the same to the last bit
@@ -30,6 +31,7 @@ from pgf_jax.guidance.tables import read_provenance, write_atomically
 from pgf_jax.study import collect_run
 from pgf_jax.study.collect_config import CollectConfig
 from pgf_jax.study.collect_run import PARTS
+from pgf_jax.study.collect_sessions import replay_sessions
 from pgf_jax.study.manifest import environment
 from pgf_jax.study.results import json_bytes
 
@@ -58,7 +60,7 @@ class Collected:
 
     Attributes:
       path: of the runs, or forks.
-      scenes: scenes planned.
+      scenes: scenes planned; of sessions: tasks that were begun.
       runs: runs in the file, one a scene; forks: states, one of each scene that was not solved
         too soon.
       by_class: how many of each scene class.
@@ -66,6 +68,7 @@ class Collected:
       iterations: of all runs, iteration 0s included; forks: of all futures.
       inputs: runs with human input; forks: states at which it was a push.
       seconds: wall time of this call.
+      cut_off: tasks of sessions that were left out: they did not end by themselves.
     """
 
     path: Path
@@ -76,47 +79,83 @@ class Collected:
     iterations: int
     inputs: int
     seconds: float
+    cut_off: int = 0
 
 
 def collect(
     config: CollectConfig, *, on_progress: Callable[[int, int], None] | None = None
 ) -> Collected:
-    """Plan the scenes of `config` and write their runs.
+    """Plan the scenes of `config`, or replay its sessions, and write their runs.
 
     Args:
       config: settings.
-      on_progress: called with (runs done, runs wanted) at the start and as runs end.
+      on_progress: called with (runs done, runs wanted) at the start and as runs end; of sessions,
+        tasks count.
 
     Returns:
       What is in the file now, runs of earlier calls included.
 
     Raises:
       BadInput: there are runs already and `resume` is off, or they were made with other settings,
-        or the folder cannot be written.
+        or the folder cannot be written. Of sessions: there are runs already, no task has ended by
+        itself, or see `replay_sessions`.
     """
     began = time.monotonic()
     path = runs_path(config.out, Mode(config.mode))
-    done = _open(config, path)
-    todo = [i for i in range(config.scenes) if i not in done]
     progress = on_progress or (lambda done, wanted: None)
+    if config.log:
+        return _collect_sessions(config, path, progress, began)
+    assert config.scenes is not None
+    scenes = config.scenes
+    done = _open(config, path, scenes)
+    todo = [i for i in range(scenes) if i not in done]
     left = len(todo)
-    progress(config.scenes - left, config.scenes)
+    progress(scenes - left, scenes)
 
     def ended() -> None:
         nonlocal left
         left -= 1
-        progress(config.scenes - left, config.scenes)
+        progress(scenes - left, scenes)
 
     about = _provenance(config)
     collect_run.run(config, todo, about, ended)
-    merged = _merge(config, path, {**about, "scenes": config.scenes})
-    return _summary(config, path, merged, time.monotonic() - began)
+    merged = _merge(config, path, {**about, "scenes": scenes})
+    return _summary(config, path, merged, scenes, time.monotonic() - began)
 
 
-def _open(config: CollectConfig, path: Path) -> set[int]:
+def _collect_sessions(
+    config: CollectConfig, path: Path, progress: Callable[[int, int], None], began: float
+) -> Collected:
+    """`collect` of sessions; `began`: when, by the monotonic clock, s."""
+    found = _found(path)
+    if found:
+        raise BadInput(f"{found[0]}: exists; expected a new folder, nothing is added to it")
+    sessions = replay_sessions(config.log, on_progress=progress)
+    if all(run.is_empty() for run in sessions.runs):
+        raise BadInput(
+            f"log: of {sessions.tasks} tasks {sessions.cut_off} were cut off and the others ended "
+            "before any iteration, expected one or more with a run"
+        )
+    about = {
+        "settings": {"mode": config.mode, "sessions": sessions.about},
+        "versions": environment()["versions"],
+        "scenes": sessions.tasks,
+    }
+    write_runs(path, sessions.runs, about)
+    frame = read_runs(path)
+    done = _summary(config, path, frame, sessions.tasks, time.monotonic() - began)
+    return dataclasses.replace(done, cut_off=sessions.cut_off)
+
+
+def _found(path: Path) -> list[Path]:
+    """What earlier calls have left in the folder of these runs."""
+    return [p for p in (path, path.parent / SETTINGS, path.parent / PARTS) if p.exists()]
+
+
+def _open(config: CollectConfig, path: Path, scenes: int) -> set[int]:
     """Write the settings, or check them against those of earlier calls; scenes done so far."""
     settings = path.parent / SETTINGS
-    found = [p for p in (path, settings, path.parent / PARTS) if p.exists()]
+    found = _found(path)
     if found and not config.resume:
         raise BadInput(f"{found[0]}: exists; expected a new folder, or --resume to continue it")
     wanted = json.loads(json.dumps(dataclasses.asdict(config), default=str))
@@ -128,8 +167,8 @@ def _open(config: CollectConfig, path: Path) -> set[int]:
                     f"{settings}: runs were collected with {name} {before.get(name)!r}, "
                     f"expected the same to resume, got {wanted[name]!r}"
                 )
-        if config.scenes < before["scenes"]:
-            raise BadInput(f"scenes: expected {before['scenes']} or more, got {config.scenes}")
+        if scenes < before["scenes"]:
+            raise BadInput(f"scenes: expected {before['scenes']} or more, got {scenes}")
     kept = {name: wanted[name] for name in (*_KEPT, "scenes")}
     write_atomically(settings, json_bytes({**kept, **environment()}))
     files = _files(path)
@@ -174,14 +213,16 @@ def _merge(config: CollectConfig, path: Path, about: dict[str, Any]) -> pl.DataF
     files = _files(path)
     frame = _read_all(config, files)
     if frame is None:
-        raise BadInput(f"scenes: all {config.scenes} were solved too soon for a fork")
-    if len(files) > 1 or files[0] != path or _scenes_in(path) != set(range(config.scenes)):
+        raise BadInput(f"scenes: all {about['scenes']} were solved too soon for a fork")
+    if len(files) > 1 or files[0] != path or _scenes_in(path) != set(range(about["scenes"])):
         (write_forks if config.mode == "forks" else write_runs)(path, [frame], about)
     shutil.rmtree(path.parent / PARTS, ignore_errors=True)
     return frame
 
 
-def _summary(config: CollectConfig, path: Path, frame: pl.DataFrame, seconds: float) -> Collected:
+def _summary(
+    config: CollectConfig, path: Path, frame: pl.DataFrame, scenes: int, seconds: float
+) -> Collected:
     forks = config.mode == "forks"
     solved = pl.col("alone_solved") if forks else pl.col("feasible") & (pl.col("kind") == "reach")
     inputs = pl.col("input") == "push" if forks else pl.col("asked_before")
@@ -193,7 +234,7 @@ def _summary(config: CollectConfig, path: Path, frame: pl.DataFrame, seconds: fl
     classes = by_run["class"].value_counts().sort("class").rows()
     return Collected(
         path=path,
-        scenes=config.scenes,
+        scenes=scenes,
         runs=len(by_run),
         by_class={name: int(count) for name, count in classes},
         solved=int(by_run["solved"].sum()),

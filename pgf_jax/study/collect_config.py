@@ -18,18 +18,21 @@ from pgf_jax.study.checks import (
 from pgf_jax.study.sweep_config import LANES, OTHER_LANES
 
 CLASSES = ("tight", "medium", "wide")
+_BESIDE_LOG = ("mode", "out", "log", "resume")
 
 
 @dataclasses.dataclass(frozen=True)
 class CollectConfig:
-    """Plan sampled scenes and keep every iteration, for `train`.
+    """Plan sampled scenes and keep every iteration, for `train`; or take recorded sessions.
 
     Attributes:
       mode: autonomous: nobody helps; human: input is given once in each run that lasts so long;
         forks: one state of each such run is carried on with input and without, for the true gain.
-      scenes: how many; scene i has seed + i for its own seed (of layout and noise).
       out: folder of the data; gets autonomous/runs.parquet, human/runs.parquet or
         forks/forks.parquet.
+      scenes: how many; scene i has seed + i for its own seed (of layout and noise).
+      log: human: sessions of the console to take the runs from, instead of planning scenes: their
+        folders, or event logs. Each fixes its own settings, so that no others are given.
       classes: scene classes, taken in turn: the mix is even.
       seed: of the first scene.
       engine: physics engine: planar, mjx, native, or a registered one.
@@ -48,12 +51,14 @@ class CollectConfig:
       workers: processes that share the scenes, each on cores of its own; None: one a core for
         planar, else 1. What is collected does not depend on them.
       chunk: finished runs are written this many at a time: what an interruption can lose.
-      resume: continue what was interrupted, or add scenes to what is there.
+      resume: continue what was interrupted, or add scenes to what is there; nothing is added to
+        the runs of sessions.
     """
 
     mode: tyro.conf.Positional[Literal["autonomous", "human", "forks"]]
-    scenes: int
     out: Path
+    scenes: int | None = None
+    log: tuple[Path, ...] = ()
     classes: tuple[Literal["tight", "medium", "wide"], ...] = CLASSES
     seed: int = 0
     engine: str = "planar"
@@ -72,6 +77,11 @@ class CollectConfig:
 
     def __post_init__(self) -> None:
         one_of("mode", self.mode, ["autonomous", "human", "forks"])
+        if self.log:
+            self._check_log()
+            return
+        if self.scenes is None:
+            raise BadInput("scenes: expected how many (or log, with recorded sessions), got none")
         whole("scenes", self.scenes, 1)
         whole("seed", self.seed, 0, MAX_SEED - self.scenes + 1)
         for name in ("chunk", "keys", "workers"):
@@ -94,3 +104,14 @@ class CollectConfig:
         # Forks are described by a full history.
         whole("ask_from", self.ask_from, 3 if self.mode == "forks" else 0)
         whole("ask_to", self.ask_to, self.ask_from)
+
+    def _check_log(self) -> None:
+        if self.mode != "human":
+            raise BadInput(f"log: expected with mode human only, got {self.mode}")
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.name not in _BESIDE_LOG and value != field.default:
+                raise BadInput(
+                    f"{field.name}: expected none beside log (sessions have their own settings), "
+                    f"got {value!r}"
+                )
