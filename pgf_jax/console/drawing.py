@@ -1,0 +1,224 @@
+"""The wall in viser: a handful of batched handles, sent again only where something has changed."""
+
+from typing import Any
+
+import numpy as np
+import viser
+
+from pgf_jax.console import wall
+from pgf_jax.console.session import Frame
+from pgf_jax.console.wall import Disks, Layout, Squares
+from pgf_jax.scene.scene import RADIUS
+
+_SIDES = 24  # of a disk
+_TURN = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
+_DISK = np.concatenate([[[0, 0, 0]], np.stack([np.cos(_TURN), np.sin(_TURN), 0 * _TURN], -1)])
+_FAN = np.array([[0, 1 + i, 1 + (i + 1) % _SIDES] for i in range(_SIDES)])
+_SQUARE = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
+_HALVES = np.array([[0, 1, 2], [0, 2, 3]])
+_PAD = 256  # lines are sent in multiples of it: their buffers are seldom made anew
+CAPTION_HEIGHT, SMALLEST = 0.062, 0.125  # m of a shelf; units
+_AWAY = -100.0  # behind the camera's back
+_GHOST, _REFUSED = (31, 119, 220), (214, 39, 40)
+
+
+class Drawing:
+    """Draws frames.
+
+    Args:
+      scene: viser's, of all clients.
+      robots, n_objects: R and N.
+    """
+
+    def __init__(self, scene: viser.SceneApi, robots: int, n_objects: int) -> None:
+        self._scene = scene
+        scene.configure_default_lights(enabled=False)
+        scene.add_light_ambient("/light", intensity=np.pi)  # colours are as they were given
+        self._sent: dict[tuple[str, str], np.ndarray] = {}
+        cells = robots + 1
+        self._meshes = {
+            "shelves": self._mesh("shelves", _SQUARE, _HALVES, 5 * cells),
+            "rims": self._mesh("rims", _DISK, _FAN, n_objects * cells),
+            "objects": self._mesh("objects", _DISK, _FAN, n_objects * cells),
+            "hands": self._mesh("hands", _SQUARE, _HALVES, 16 * cells),
+        }
+        self._lines = {
+            name: self._segments(name, color, width)
+            for name, color, width in (
+                ("frames", (190, 190, 190), 1),
+                ("curves", (40, 60, 110), 2),
+                ("inputs", (240, 150, 60), 2),
+                ("paths", (31, 78, 156), 2),
+                ("pushes", (240, 120, 30), 3),
+                ("arrow", _GHOST, 3),
+                ("numbers", (20, 20, 20), 1),
+            )
+        }
+        self._ghost = self._mesh("ghost", _DISK, _FAN, 1, opacity=0.55)
+        self._captions = [self._label(f"caption/{i}", "top-left") for i in range(robots)]
+        self._title = self._label("title", "top-left")
+        self._costs = [self._label(f"cost/{i}", "center-right") for i in range(len(wall.COSTS))]
+
+    def show(self, frame: Frame, layout: Layout) -> None:
+        """Draw a frame; to be called within the server's `atomic`."""
+        pairs = wall.shown(frame.fleet, layout)
+        picked = frame.picked
+        self._squares("shelves", wall.shelves(pairs))
+        inner, rims = wall.objects(pairs, None if picked is None else picked.object)
+        self._disks("rims", rims)
+        self._disks("objects", inner)
+        self._squares("hands", wall.hands(pairs))
+        curves, inputs, frames = wall.curves(pairs)
+        lines = {"curves": curves, "inputs": inputs, "frames": frames}
+        lines |= {"paths": wall.paths(pairs), "pushes": wall.pushes(pairs)}
+        lines["numbers"] = wall.numbers(pairs)
+        lines["arrow"] = self._show_ghost(frame, layout)
+        for name, points in lines.items():
+            self._put_lines(name, points)
+        self._show_captions(frame, layout)
+        self._show_large(frame, layout)
+
+    # -- parts ----------------------------------------------------------------------------------
+
+    def _show_ghost(self, frame: Frame, layout: Layout) -> np.ndarray:
+        """The push that is being picked, as a ghost; [M, 2, 3] its arrow."""
+        picked, cell = frame.picked, layout.large
+        centers, radii = np.array([[0, 0, _AWAY]]), np.ones(1)
+        color = np.array([_REFUSED if picked is not None and picked.problem else _GHOST])
+        arrow = np.empty((0, 2, 3))
+        if picked is not None and cell is not None and picked.object is not None and picked.target:
+            robot = frame.fleet.robots[picked.robot]
+            ends = cell.place(np.array([robot.objects[picked.object], picked.target]))
+            centers = np.array([[*ends[1], 0.06]])
+            radii = np.array([cell.scale * RADIUS])
+            arrow = np.concatenate([ends, [[0.065], [0.065]]], 1)[None]
+        self._put(self._ghost, "ghost", centers, np.tile(radii[:, None], (1, 3)), color)
+        return arrow
+
+    def _show_captions(self, frame: Frame, layout: Layout) -> None:
+        for index, handle in enumerate(self._captions):
+            if index < len(layout.cells) and index < len(frame.fleet.robots):
+                cell = layout.cells[index]
+                place = (cell.x + 0.03 * cell.scale, cell.y + wall.CAPTION_V * cell.scale)
+                text = wall.caption(frame.fleet.robots[index])
+                self._write(handle, text, place, max(CAPTION_HEIGHT * cell.scale, SMALLEST))
+            else:
+                self._write(handle, "", (0.0, 0.0), SMALLEST)
+
+    def _show_large(self, frame: Frame, layout: Layout) -> None:
+        cell, served = layout.large, layout.served
+        if cell is None or served is None or served >= len(frame.fleet.robots):
+            for handle in (*self._costs, self._title):
+                self._write(handle, "", (0.0, 0.0), SMALLEST)
+            return
+        robot = frame.fleet.robots[served]
+        low, high = wall.curve_box(cell)
+        for handle, cost in zip(self._costs, wall.COSTS, strict=True):
+            place = (low[0] - 0.06, wall.cost_height(cell, cost))
+            self._write(handle, f"{cost:.0f}", place, 0.16)
+        iterations = max(0, len(robot.costs) - 1)
+        words = wall.caption(robot).replace("\n", "   ")
+        text = f"Robot {words}\n{robot.scene}, {iterations} iterations, cost:"
+        self._write(self._title, text, (low[0] - 0.35, high[1] + 0.75), 0.2)
+
+    # -- handles, sent again where they change --------------------------------------------------
+
+    def _mesh(
+        self,
+        name: str,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        count: int,
+        opacity: float | None = None,
+    ) -> Any:
+        return self._scene.add_batched_meshes_simple(
+            f"/{name}",
+            vertices.astype(np.float32),
+            faces.astype(np.uint32),
+            np.tile(np.array([1.0, 0, 0, 0], np.float32), (count, 1)),
+            np.full((count, 3), _AWAY, np.float32),
+            batched_scales=np.ones((count, 3), np.float32),
+            batched_colors=np.zeros((count, 3), np.uint8),
+            lod="off",
+            material="toon3",
+            opacity=opacity,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def _segments(self, name: str, color: tuple[int, int, int], width: int) -> Any:
+        points = np.full((_PAD, 2, 3), _AWAY, np.float32)
+        return self._scene.add_line_segments(f"/{name}", points, color, line_width=width)
+
+    def _label(self, name: str, anchor: Any) -> Any:
+        return self._scene.add_label(
+            f"/{name}",
+            "",
+            font_size_mode="scene",
+            font_scene_height=SMALLEST,
+            anchor=anchor,
+            visible=False,
+        )
+
+    def _squares(self, name: str, squares: Squares) -> None:
+        scales = np.concatenate([squares.sizes, np.ones((len(squares.sizes), 1))], 1)
+        half = squares.angles / 2
+        turns = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], -1)
+        self._put(self._meshes[name], name, squares.centers, scales, squares.colors, turns)
+
+    def _disks(self, name: str, disks: Disks) -> None:
+        scales = np.tile(disks.radii[:, None], (1, 3))
+        self._put(self._meshes[name], name, disks.centers, scales, disks.colors)
+
+    def _put(
+        self,
+        handle: Any,
+        name: str,
+        centers: np.ndarray,
+        scales: np.ndarray,
+        colors: np.ndarray,
+        turns: np.ndarray | None = None,
+    ) -> None:
+        count = len(handle.batched_positions)
+        self._set(handle, name, "batched_positions", _padded(centers, count, _AWAY))
+        self._set(handle, name, "batched_scales", _padded(scales, count, 1e-6))
+        self._set(handle, name, "batched_colors", _padded(_linear(colors), count, 0))
+        if turns is not None:
+            self._set(handle, name, "batched_wxyzs", _padded(turns, count, 0.5))
+
+    def _put_lines(self, name: str, points: np.ndarray) -> None:
+        count = _PAD * max(1, -(-len(points) // _PAD))
+        self._set(self._lines[name], name, "points", _padded(points, count, _AWAY))
+
+    def _set(self, handle: Any, name: str, attribute: str, value: np.ndarray) -> None:
+        value = value.astype(np.uint8 if attribute == "batched_colors" else np.float32)
+        before = self._sent.get((name, attribute))
+        if before is None or before.shape != value.shape or (before != value).any():
+            self._sent[name, attribute] = value
+            setattr(handle, attribute, value)
+
+    @staticmethod
+    def _write(handle: Any, text: str, place: tuple[float, float], height: float) -> None:
+        if handle.visible != bool(text):
+            handle.visible = bool(text)
+        if not text:
+            return
+        if handle.text != text:
+            handle.text = text
+        if handle.font_scene_height != height:
+            handle.font_scene_height = height
+        position = np.array([*place, 0.1])
+        if (handle.position != position).any():
+            handle.position = position
+
+
+def _linear(colors: np.ndarray) -> np.ndarray:
+    """[M, 3] colours as on a screen (sRGB, 0..255) -> as batched meshes have them."""
+    return np.round(255 * (np.asarray(colors) / 255) ** 2.2)
+
+
+def _padded(rows: np.ndarray, count: int, value: float) -> np.ndarray:
+    """[M, ...] -> [count, ...], filled up with `value`."""
+    assert len(rows) <= count, f"{len(rows)} to be drawn where there is room for {count}"
+    rest = np.full((count - len(rows), *rows.shape[1:]), value)
+    return np.concatenate([np.asarray(rows, float), rest])

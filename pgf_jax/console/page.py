@@ -1,0 +1,265 @@
+"""The page: the wall, the operator's panel, and what clients do on them. viser is met here only."""
+
+import logging
+import math
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+
+from pgf_jax.console import wall
+from pgf_jax.console.desk import Desk, Word
+from pgf_jax.console.door import Bucket, Door
+from pgf_jax.console.drawing import Drawing
+from pgf_jax.console.session import Frame, Session
+from pgf_jax.console.wall import Layout
+from pgf_jax.errors import BadInput
+from pgf_jax.planning.types import Status
+
+log = logging.getLogger(__name__)
+
+FOV = 0.35  # rad: a long lens, which shows the poster flat
+ACTS_PER_S, ACTS_AT_ONCE = 10.0, 20.0  # of a client; nobody is that fast
+HELP = """\
+**Mouse**: click an object, then the place it should come to, then *Push*.
+
+**Keyboard**: Tab next object, arrows move its place, Enter push, Escape undo, G go on reaching,
+O operate, V view.
+"""
+
+
+class Page:
+    """What browsers see and do.
+
+    Args:
+      host, port: to listen on.
+      door: who may connect.
+      robots, n_objects: R and N.
+      live: whether there is a desk to sit at.
+
+    Raises:
+      BadInput: the port is not free.
+    """
+
+    def __init__(
+        self, host: str, port: int, door: Door, *, robots: int, n_objects: int, live: bool
+    ) -> None:
+        with door.guard():
+            self.server = viser.ViserServer(host=host, port=port, label="pgf_jax", verbose=False)
+        if port not in (0, self.server.get_port()):
+            self.server.stop()
+            raise BadInput(f"port: {port} is taken; expected a free one, or 0 for any")
+        self._robots, self._live = robots, live
+        self._session: Session | None = None
+        self._layout = Layout.of(robots, None)
+        self._buckets: dict[int, Bucket] = {}
+        self._flooding: set[int] = set()
+        self._lock = threading.Lock()
+        server = self.server
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.dock_right()
+        self._drawing = Drawing(server.scene, robots, n_objects)
+        for name, value in (
+            ("position", _eye(1.2)),
+            ("look_at", (wall.WIDTH / 2, wall.HEIGHT / 2, 0.0)),
+            ("up", (0.0, 1.0, 0.0)),
+            ("fov", FOV),
+        ):
+            setattr(server.initial_camera, name, value)
+        self._status = server.gui.add_markdown("Starting ...")
+        self._word = server.gui.add_markdown("")
+        self._make_controls()
+        # viser takes coroutines everywhere, but does not say so here.
+        server.scene.on_click()(self._on_click)  # pyright: ignore[reportArgumentType]
+        server.on_client_connect(self._on_connect)
+        server.on_client_disconnect(self._on_disconnect)
+
+    @property
+    def url(self) -> str:
+        """Where it is served, token not included."""
+        host = self.server.get_host()
+        shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, host)
+        return f"http://{shown}:{self.server.get_port()}/"
+
+    def open(self, session: Session) -> None:
+        """Let clients act on a session."""
+        self._session = session
+        for client in self.server.get_clients().values():
+            self._seat(client)
+
+    def close(self) -> None:
+        """Stop serving."""
+        self.server.stop()
+
+    # -- showing --------------------------------------------------------------------------------
+
+    def show(self, frame: Frame) -> None:
+        """Show a frame to all clients."""
+        served = frame.fleet.serving if frame.picked is None else frame.picked.robot
+        layout = Layout.of(self._robots, served)
+        with self.server.atomic():
+            self._drawing.show(frame, layout)
+            status = self._status_of(frame)
+            if status != self._status.content:
+                self._status.content = status
+        self._layout = layout
+        self.server.flush()
+
+    def _status_of(self, frame: Frame) -> str:
+        fleet = frame.fleet
+        seconds = int(fleet.time_ns / 1e9)
+        statuses = [status for robot in fleet.robots for status in robot.done]
+        solved = statuses.count(Status.SOLVED)
+        total = fleet.tasks * self._robots
+        if frame.over:
+            head = "The session is over. Thank you."
+        elif frame.picked is not None:
+            waited = int(fleet.robots[frame.picked.robot].waited_s)
+            head = f"Robot {frame.picked.robot + 1} asks ({waited} s)"
+        elif fleet.serving is not None:
+            head = f"Robot {fleet.serving + 1} is being helped"
+        elif self._live and not frame.running:
+            head = "Waiting for an operator"
+        elif self._live and not fleet.attended:
+            head = "The operator is away"
+        else:
+            head = "Bids are collected" if fleet.window_open else "No robot asks"
+        behind = f", {frame.behind_s:.0f} s behind" if frame.behind_s >= 1 else ""
+        return (
+            f"### {head}\n{seconds // 60}:{seconds % 60:02d}{behind} · {fleet.policy} · "
+            f"{len(statuses)} of {total} tasks done, {solved} solved"
+        )
+
+    # -- what clients do ------------------------------------------------------------------------
+
+    def _make_controls(self) -> None:
+        gui = self.server.gui
+        if self._live:
+            acts: tuple[tuple[str, Any, Any, Callable[[Desk, int], Word]], ...] = (
+                ("Push", "green", "enter", lambda desk, client: desk.confirm(client)),
+                ("Go on reaching", "blue", "G", lambda desk, client: desk.go_on(client)),
+                ("Undo", "gray", "escape", lambda desk, client: desk.undo(client)),
+            )
+            for label, color, key, do in acts:
+                gui.add_button(label, color=color).on_click(self._handler(do))
+                gui.add_command(label, hotkey=key).on_trigger(self._handler(do))
+            moves: tuple[tuple[Any, str, int, int], ...] = (
+                ("arrowup", "Place deeper", 1, 0),
+                ("arrowdown", "Place nearer", -1, 0),
+                ("arrowleft", "Place to the left", 0, 1),
+                ("arrowright", "Place to the right", 0, -1),
+            )
+            for key, label, deeper, left in moves:
+                gui.add_command(label, hotkey=key).on_trigger(
+                    self._handler(lambda desk, c, d=deeper, s=left: desk.nudge(c, d, s))
+                )
+            gui.add_command("Next object", hotkey="tab").on_trigger(
+                self._handler(lambda desk, client: desk.next_object(client))
+            )
+            gui.add_button("Operate", color="gray").on_click(self._on_take)
+            gui.add_command("Operate", hotkey="O").on_trigger(self._on_take)
+        gui.add_command("View from the front", hotkey="V").on_trigger(self._on_view)
+        gui.add_markdown(HELP if self._live else "V: view from the front.")
+
+    def _handler(self, do: Callable[[Desk, int], Word]) -> Callable[[Any], Any]:
+        async def handle(event: Any) -> None:
+            self._act(event.client_id, lambda desk: do(desk, event.client_id))
+
+        return handle
+
+    async def _on_click(self, event: viser.SceneClickEvent) -> None:
+        if not self._live:
+            return
+        place = _on_poster(event.ray_origin, event.ray_direction)
+        client = event.client_id
+        robot, x, y = (None, 0.0, 0.0) if place is None else self._layout.find(*place)
+        self._act(client, lambda desk: desk.click(client, robot, x, y))
+
+    def _act(self, client: int | None, do: Callable[[Desk], Word]) -> None:
+        session = self._session
+        if client is None or session is None or not self._may(client):
+            return
+        session.act(client, do, lambda word: self._tell(client, word))
+
+    async def _on_take(self, event: Any) -> None:
+        client, session = event.client_id, self._session
+        if client is not None and session is not None and self._may(client):
+            session.take(client, lambda word: self._tell(client, word))
+
+    async def _on_view(self, event: Any) -> None:
+        client = self.server.get_clients().get(event.client_id)
+        if client is not None:
+            _look(client)
+
+    def _may(self, client: int) -> bool:
+        """Whether a client does not act faster than anybody can."""
+        with self._lock:
+            bucket = self._buckets.setdefault(client, Bucket(ACTS_PER_S, ACTS_AT_ONCE))
+            allowed = bucket.allows()
+            if not allowed and client not in self._flooding:
+                self._flooding.add(client)
+                log.warning("client %d acts too fast: refused", client)
+            elif allowed:
+                self._flooding.discard(client)
+            return allowed
+
+    def _tell(self, client: int, word: Word) -> None:
+        """In the session's thread: what came of an act, to who did it."""
+        session = self._session
+        operates = session is not None and session.desk.operator == client
+        if not word.ok:
+            log.info("client %d refused: %s", client, word.text)
+        if operates:
+            self._word.content = f"**{word.text}**" if word.ok else f"**Refused.** {word.text}"
+            self.server.flush()
+            return
+        handle = self.server.get_clients().get(client)
+        if handle is not None:
+            handle.add_notification("", word.text, auto_close_seconds=4.0)
+            handle.flush()
+
+    # -- who is there ---------------------------------------------------------------------------
+
+    async def _on_connect(self, client: viser.ClientHandle) -> None:
+        log.info("client %d connected", client.client_id)
+        _look(client)
+        self._seat(client)
+
+    def _seat(self, client: viser.ClientHandle) -> None:
+        if self._live and self._session is not None:
+            number = client.client_id
+            self._session.take(number, lambda word: self._tell(number, word))
+
+    async def _on_disconnect(self, client: viser.ClientHandle) -> None:
+        log.info("client %d left", client.client_id)
+        with self._lock:
+            self._buckets.pop(client.client_id, None)
+            self._flooding.discard(client.client_id)
+        if self._session is not None:
+            self._session.leave(client.client_id)
+
+
+def _look(client: viser.ClientHandle) -> None:
+    """Bring the whole poster into a client's view."""
+    client.camera.position = _eye(client.camera.aspect)
+    client.camera.look_at = (wall.WIDTH / 2, wall.HEIGHT / 2, 0.0)
+
+
+def _eye(aspect: float) -> tuple[float, float, float]:
+    """Where the poster fills a canvas of that width over height."""
+    high = max(wall.HEIGHT, wall.WIDTH / max(aspect, 0.1)) * 1.02
+    return wall.WIDTH / 2, wall.HEIGHT / 2, high / 2 / math.tan(FOV / 2)
+
+
+def _on_poster(origin: Any, direction: Any) -> tuple[float, float] | None:
+    """Where a ray meets the poster, units; None: nowhere."""
+    origin, direction = np.asarray(origin, float), np.asarray(direction, float)
+    if not (np.isfinite(origin).all() and np.isfinite(direction).all()) or direction[2] == 0:
+        return None
+    along = -origin[2] / direction[2]
+    if along <= 0:
+        return None
+    x, y = (origin + along * direction)[:2]
+    return float(x), float(y)

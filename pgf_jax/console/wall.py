@@ -1,0 +1,368 @@
+"""The wall: where every shelf is drawn, and the arrays that draw it. NumPy only.
+
+The page is a poster of `WIDTH` x `HEIGHT` units that the camera looks at from straight ahead. Each
+robot has a cell: its shelf from above (x into the shelf points up, as the robot sees it), a caption
+over it, its cost curve under it. While a robot is served, its shelf is drawn once more, large, with
+the wall as a strip below.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from pgf_jax.fleet.records import State
+from pgf_jax.physics import hand
+from pgf_jax.planning.types import Status
+from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
+from pgf_jax.study.snapshot import FleetSnapshot, RobotSnapshot
+
+WIDTH, HEIGHT = 12.0, 10.0
+STRIP = 3.1  # height of the wall while a shelf is shown large
+# A cell, in metres of its shelf: captions and curve are as large as they would be on it.
+CELL_WIDTH, CELL_HEIGHT = 0.90, 1.10
+SHELF_V = 0.25  # of x = 0 over the cell's lower edge
+CURVE_V = (0.02, 0.17)  # the curve's strip
+LARGE_TOP = 0.89  # a large shelf's cell goes from over the curve to under the caption
+CAPTION_V = 1.09  # top of the caption
+LARGE_CURVE = (4.1, 2.6)  # width and height beside a large shelf, units
+GAP = 0.15
+COSTS = (1.0, 10.0, 100.0, 1000.0)  # marked in a large curve
+_COST_SPAN = math.log10(1 + 4000.0)
+
+WORDS = {
+    State.IDLE: "done",
+    State.PLANNING: "plans",
+    State.IN_WINDOW: "bids",
+    State.IN_LINE: "in line",
+    State.SERVED: "asks",
+    State.EXECUTING: "reaches",
+}
+BACKGROUNDS = {
+    State.IDLE: (214, 214, 214),
+    State.PLANNING: (240, 243, 248),
+    State.IN_WINDOW: (255, 236, 179),
+    State.IN_LINE: (255, 236, 179),
+    State.SERVED: (255, 204, 153),
+    State.EXECUTING: (205, 235, 208),
+}
+BOARD, WALL = (252, 250, 246), (122, 92, 58)
+GOAL, OBJECT, PUSHED, CHOSEN = (46, 158, 79), (190, 190, 190), (240, 150, 60), (31, 119, 220)
+RIM, HAND = (60, 60, 60), (31, 78, 156)
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """Where a shelf is drawn.
+
+    Attributes:
+      x, y: its lower left corner, units.
+      scale: units a metre.
+      large: drawn with numbers on the objects and its curve beside it.
+    """
+
+    x: float
+    y: float
+    scale: float
+    large: bool = False
+
+    def place(self, points: np.ndarray) -> np.ndarray:
+        """[..., 2] (x, y) on the shelf, m -> the same on the poster, units."""
+        points = np.asarray(points, float)
+        u, v = CELL_WIDTH / 2 - points[..., 1], SHELF_V + points[..., 0]
+        return np.stack([self.x + self.scale * u, self.y + self.scale * v], -1)
+
+    def shelf(self, x: float, y: float) -> tuple[float, float]:
+        """A place on the poster, units -> on the shelf, m."""
+        u, v = (x - self.x) / self.scale, (y - self.y) / self.scale
+        return v - SHELF_V, CELL_WIDTH / 2 - u
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a place on the poster is in this cell."""
+        inside_x = self.x <= x <= self.x + self.scale * CELL_WIDTH
+        return inside_x and 0 <= (y - self.y) / self.scale <= CELL_HEIGHT
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Where all shelves are drawn.
+
+    Attributes:
+      cells: of each robot; empty where only one is shown, large.
+      large: of the robot that is served, or of the only one.
+      served: that robot, or None.
+    """
+
+    cells: tuple[Cell, ...]
+    large: Cell | None
+    served: int | None
+
+    @classmethod
+    def of(cls, robots: int, served: int | None) -> "Layout":
+        """The layout of a fleet of so many robots."""
+        if robots == 1:
+            return cls((), _large(0.0), 0)
+        if served is None:
+            return cls(_grid(robots, HEIGHT), None, None)
+        return cls(_grid(robots, STRIP), _large(STRIP), served)
+
+    def find(self, x: float, y: float) -> tuple[int | None, float, float]:
+        """What is at a place on the poster: robot or None, and where on its shelf, m."""
+        if self.large is not None and self.large.contains(x, y):
+            return self.served, *self.large.shelf(x, y)
+        for robot, cell in enumerate(self.cells):
+            if cell.contains(x, y):
+                return robot, *cell.shelf(x, y)
+        return None, 0.0, 0.0
+
+
+def _grid(robots: int, height: float) -> tuple[Cell, ...]:
+    """As large as they can be, row by row from the top."""
+
+    def scale(columns: int) -> float:
+        rows = -(-robots // columns)
+        return min(WIDTH / columns / CELL_WIDTH, height / rows / CELL_HEIGHT)
+
+    columns = max(range(1, robots + 1), key=scale)
+    size, rows = scale(columns), -(-robots // columns)
+    step_x, step_y = WIDTH / columns, height / rows
+    return tuple(
+        Cell(
+            (i % columns) * step_x + (step_x - size * CELL_WIDTH) / 2,
+            height - (i // columns + 1) * step_y,
+            0.97 * size,
+        )
+        for i in range(robots)
+    )
+
+
+def _large(below: float) -> Cell:
+    room_x = WIDTH - LARGE_CURVE[0] - GAP
+    scale = min(room_x / CELL_WIDTH, (HEIGHT - below - GAP) / (LARGE_TOP - CURVE_V[1]))
+    height = scale * (LARGE_TOP - CURVE_V[1])
+    bottom = below + (HEIGHT - below - height) / 2
+    return Cell(0.0, bottom - scale * CURVE_V[1], scale, large=True)
+
+
+# -- what is drawn -------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Squares:
+    """Oriented rectangles: [M, 3] centres, [M] angles (rad), [M, 2] sizes, [M, 3] colours."""
+
+    centers: np.ndarray
+    angles: np.ndarray
+    sizes: np.ndarray
+    colors: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Disks:
+    """Disks: [M, 3] centres, [M] radii, [M, 3] colours."""
+
+    centers: np.ndarray
+    radii: np.ndarray
+    colors: np.ndarray
+
+
+def shown(fleet: FleetSnapshot, layout: Layout) -> list[tuple[Cell, RobotSnapshot]]:
+    """The cells to draw; the served robot has two."""
+    pairs = list(zip(layout.cells, fleet.robots, strict=False))
+    if layout.large is not None and layout.served is not None:
+        pairs += [(layout.large, robot) for robot in fleet.robots if robot.robot == layout.served]
+    return pairs
+
+
+def shelves(pairs: list[tuple[Cell, RobotSnapshot]]) -> Squares:
+    """Backgrounds, boards and walls."""
+    rows: list[tuple[float, ...]] = []
+    for cell, robot in pairs:
+        s = cell.scale
+        low, high = (CURVE_V[1], LARGE_TOP) if cell.large else (0.0, CELL_HEIGHT)
+        middle = (cell.x + s * CELL_WIDTH / 2, cell.y + s * (low + high) / 2)
+        size = (0.985 * s * CELL_WIDTH, s * (high - low - 0.015))
+        rows.append((*middle, 0.0, *size, *BACKGROUNDS[robot.state]))
+        depth = BACK_WALL_X - FRONT_X
+        board = cell.place(np.array([FRONT_X + depth / 2, 0.0]))
+        rows.append((*board, 0.01, s * 2 * SIDE_WALL_Y, s * depth, *BOARD))
+        thick = 0.012
+        back = cell.place(np.array([BACK_WALL_X + thick / 2, 0.0]))
+        rows.append((*back, 0.012, s * 2 * (SIDE_WALL_Y + thick), s * thick, *WALL))
+        for side in (-1, 1):
+            wall = cell.place(np.array([FRONT_X + depth / 2, side * (SIDE_WALL_Y + thick / 2)]))
+            rows.append((*wall, 0.012, s * thick, s * depth, *WALL))
+    table = np.array(rows).reshape(-1, 8)
+    return Squares(table[:, :3], np.zeros(len(table)), table[:, 3:5], table[:, 5:])
+
+
+def objects(pairs: list[tuple[Cell, RobotSnapshot]], chosen: int | None) -> tuple[Disks, Disks]:
+    """The objects, and the rims behind them; `chosen` is marked on the large shelf."""
+    centers, radii, colors = [], [], []
+    for cell, robot in pairs:
+        n = len(robot.objects)
+        color = np.tile(np.array(OBJECT), (n, 1))
+        color[robot.goal] = GOAL
+        if robot.push is not None and robot.push.object < n:
+            color[robot.push.object] = PUSHED
+        if cell.large and chosen is not None:
+            color[chosen] = CHOSEN
+        centers.append(cell.place(robot.objects))
+        radii.append(np.full(n, cell.scale * RADIUS))
+        colors.append(color)
+    center = np.concatenate([*centers, np.empty((0, 2))])
+    radius = np.concatenate([*radii, np.empty(0)])
+    color = np.concatenate([*colors, np.empty((0, 3))])
+    inner = Disks(_at(center, 0.03), 0.88 * radius, color)
+    return inner, Disks(_at(center, 0.025), radius, np.tile(np.array(RIM), (len(center), 1)))
+
+
+def hands(pairs: list[tuple[Cell, RobotSnapshot]]) -> Squares:
+    """The hands: each capsule as a rectangle of its width."""
+    centers, angles, sizes = [], [], []
+    for cell, robot in pairs:
+        ends = hand.capsule_segments(np.float64(robot.gripper))  # [C, 2, 2] in the hand's frame
+        c, s = np.cos(robot.hand[2]), np.sin(robot.hand[2])
+        ends = cell.place(ends @ np.array([[c, s], [-s, c]]) + robot.hand[:2])
+        along = ends[:, 1] - ends[:, 0]
+        centers.append(ends.mean(1))
+        angles.append(np.arctan2(along[:, 1], along[:, 0]))
+        wide = 2 * cell.scale * hand.RADII
+        sizes.append(np.stack([np.hypot(*along.T) + wide, wide], -1))
+    center = np.concatenate([*centers, np.empty((0, 2))])
+    color = np.tile(np.array(HAND), (len(center), 1))
+    return Squares(
+        _at(center, 0.04),
+        np.concatenate([*angles, np.empty(0)]),
+        np.concatenate([*sizes, np.empty((0, 2))]),
+        color,
+    )
+
+
+def paths(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
+    """[M, 2, 3] where the end-effector goes on the best trajectories so far."""
+    parts = [np.empty((0, 2, 3))]
+    for cell, robot in pairs:
+        if len(robot.path) > 1:
+            c, s = np.cos(robot.path[:, 2]), np.sin(robot.path[:, 2])
+            turned = np.stack(
+                [
+                    c * hand.EE_POINT[0] - s * hand.EE_POINT[1],
+                    s * hand.EE_POINT[0] + c * hand.EE_POINT[1],
+                ],
+                -1,
+            )
+            parts.append(_chain(cell.place(robot.path[:, :2] + turned), 0.05))
+    return np.concatenate(parts)
+
+
+def pushes(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
+    """[M, 2, 3] from each object that is to be pushed to where it is to come."""
+    parts = [np.empty((0, 2, 3))]
+    for cell, robot in pairs:
+        if robot.push is not None:
+            ends = np.array([robot.objects[robot.push.object], [robot.push.x, robot.push.y]])
+            parts.append(_chain(cell.place(ends), 0.05))
+    return np.concatenate(parts)
+
+
+def curves(pairs: list[tuple[Cell, RobotSnapshot]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """[M, 2, 3] each: the cost curves, when inputs were given, and the curves' frames."""
+    lines, inputs, frames = ([np.empty((0, 2, 3))] for _ in range(3))
+    for cell, robot in pairs:
+        low, high = curve_box(cell)
+        width, height = high - low
+        step = width / max(12, len(robot.costs) - 1)
+        if len(robot.costs) > 1:
+            cost = np.minimum(np.array(robot.costs), 10**_COST_SPAN)
+            v = np.minimum(np.log10(1 + cost) / _COST_SPAN, 1.0)
+            points = np.stack([low[0] + step * np.arange(len(v)), low[1] + height * v], -1)
+            lines.append(_chain(points, 0.05))
+        for at in robot.inputs_at:
+            x = low[0] + step * max(0, at - 1)
+            inputs.append(_chain(np.array([[x, low[1]], [x, high[1]]]), 0.045))
+        frames.append(_chain(np.array([low, [high[0], low[1]]]), 0.045))
+        if cell.large:
+            for cost in COSTS:
+                y = cost_height(cell, cost)
+                frames.append(_chain(np.array([[low[0], y], [high[0], y]]), 0.045))
+    return np.concatenate(lines), np.concatenate(inputs), np.concatenate(frames)
+
+
+def curve_box(cell: Cell) -> tuple[np.ndarray, np.ndarray]:
+    """Lower left and upper right corner of a cell's curve, units."""
+    if cell.large:
+        low = np.array([WIDTH - LARGE_CURVE[0] + 0.45, cell.y + cell.scale * SHELF_V])
+        return low, low + np.array([LARGE_CURVE[0] - 0.6, LARGE_CURVE[1]])
+    s = cell.scale
+    return (
+        np.array([cell.x + 0.05 * s, cell.y + CURVE_V[0] * s]),
+        np.array([cell.x + (CELL_WIDTH - 0.06) * s, cell.y + CURVE_V[1] * s]),
+    )
+
+
+def cost_height(cell: Cell, cost: float) -> float:
+    """Where a cost is in a curve, units."""
+    low, high = curve_box(cell)
+    return float(low[1] + (high[1] - low[1]) * math.log10(1 + cost) / _COST_SPAN)
+
+
+# Strokes on a grid of 2 x 4, (column, row from below); a label of viser's would cover its object.
+_DIGITS = (
+    ((0, 0), (2, 0), (2, 4), (0, 4), (0, 0)),
+    ((0, 3), (1, 4), (1, 0)),
+    ((0, 4), (2, 4), (2, 2), (0, 2), (0, 0), (2, 0)),
+    ((0, 4), (2, 4), (2, 2), (1, 2), (2, 2), (2, 0), (0, 0)),
+    ((1.5, 0), (1.5, 4), (0, 1), (2, 1)),
+    ((2, 4), (0, 4), (0, 2), (2, 2), (2, 0), (0, 0)),
+    ((2, 4), (0, 4), (0, 0), (2, 0), (2, 2), (0, 2)),
+    ((0, 4), (2, 4), (0.5, 0)),
+    ((0, 2), (0, 0), (2, 0), (2, 4), (0, 4), (0, 2), (2, 2)),
+    ((2, 2), (0, 2), (0, 4), (2, 4), (2, 0), (0, 0)),
+)
+_DIGIT_M = 0.0045  # of the grid's step, on the shelf
+
+
+def numbers(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
+    """[M, 2, 3] the numbers of the objects on a large shelf, from 1, as strokes."""
+    parts = [np.empty((0, 2, 3))]
+    for cell, robot in pairs:
+        if not cell.large:
+            continue
+        step = cell.scale * _DIGIT_M
+        for number, center in enumerate(cell.place(robot.objects), 1):
+            digits = [int(digit) for digit in str(number)]
+            left = center[0] - step * (1.5 * len(digits) - 0.5)
+            for place, digit in enumerate(digits):
+                corner = np.array([left + 3 * step * place, center[1] - 2 * step])
+                parts.append(_chain(corner + step * np.array(_DIGITS[digit]), 0.05))
+    return np.concatenate(parts)
+
+
+def caption(robot: RobotSnapshot) -> str:
+    """What a robot does, and what it would gain from help."""
+    word = WORDS[robot.state]
+    if robot.push is not None and robot.state in (State.PLANNING, State.EXECUTING):
+        word = "plans push" if robot.state is State.PLANNING else "pushes"
+    solved = sum(status is Status.SOLVED for status in robot.done)
+    text = f"{robot.robot + 1} {word}"
+    if robot.stuck and robot.state is State.PLANNING:
+        text += ", stuck"
+    return f"{text}\n{bid_words(robot)}  {solved}/{len(robot.done)} done"
+
+
+def bid_words(robot: RobotSnapshot) -> str:
+    """The bid, or the predicted gain."""
+    if robot.bid is not None:
+        return "bid stuck" if math.isinf(robot.bid) else f"bid {robot.bid:.0f}"
+    return "gain -" if math.isnan(robot.gain) else f"gain {robot.gain:.0f}"
+
+
+def _at(points: np.ndarray, z: float) -> np.ndarray:
+    return np.concatenate([points, np.full((len(points), 1), z)], 1)
+
+
+def _chain(points: np.ndarray, z: float) -> np.ndarray:
+    """[M, 2] points -> [M - 1, 2, 3] segments."""
+    points = _at(points, z)
+    return np.stack([points[:-1], points[1:]], 1)
