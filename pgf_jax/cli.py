@@ -22,6 +22,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.guidance.train_config import TrainConfig
 
 if TYPE_CHECKING:
+    from pgf_jax.console.config import ConsoleConfig
     from pgf_jax.study.collect_config import CollectConfig
     from pgf_jax.study.plan_config import PlanCommand
     from pgf_jax.study.plan_file import Plan
@@ -280,15 +281,17 @@ def _collect(config: "CollectConfig") -> None:
     from pgf_jax.study.progress import Progress, clock
 
     try:
-        with Progress("scenes") as progress:
+        with Progress("tasks" if config.log else "scenes") as progress:
             done = collect(config, on_progress=progress.update)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            "interrupted; the runs that had ended are kept, and --resume goes on from them"
+            "interrupted; nothing was written"
+            if config.log
+            else "interrupted; the runs that had ended are kept, and --resume goes on from them"
         ) from None
     mix = ", ".join(f"{count} {name}" for name, count in done.by_class.items())
     _table(
-        ("scenes", "with data", "of", "solved", "iterations", "inputs"),
+        ("tasks" if config.log else "scenes", "with data", "of", "solved", "iterations", "inputs"),
         [
             (
                 *(str(count) for count in (done.scenes, done.runs)),
@@ -297,7 +300,10 @@ def _collect(config: "CollectConfig") -> None:
             )
         ],
     )
-    print(f"{done.path}; engine {config.engine}, lanes {config.lanes}, {clock(done.seconds)}")
+    how = f"engine {config.engine}, lanes {config.lanes}"
+    if config.log:
+        how = f"tasks cut off by the end of their session, left out: {done.cut_off}"
+    print(f"{done.path}; {how}, {clock(done.seconds)}")
 
 
 def _train(command: TrainCommand) -> None:
@@ -313,10 +319,34 @@ def _train(command: TrainCommand) -> None:
     print("\n".join(report["files"]))
 
 
+def _fit_operator(config: Any) -> None:
+    from pgf_jax.study.fit_operator import fit_operator
+
+    fit_operator(config)
+
+
+def _render(config: Any) -> None:
+    os.environ.setdefault("NPROC", "1")  # a plan's one rollout keeps no second thread busy
+    from pgf_jax.render.run import render
+
+    print(render(config))
+
+
 def _profile(config: Any) -> None:
     from pgf_jax.study.profile import profile
 
     profile(config)
+
+
+def _console(config: "ConsoleConfig") -> None:
+    try:
+        from pgf_jax.console.run import console
+    except ModuleNotFoundError as error:
+        raise BadInput(
+            f"console: needs {error.name}, expected an installation with it: "
+            "pip install 'pgf_jax[console]'"
+        ) from None
+    console(config)
 
 
 def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -348,15 +378,30 @@ COMMANDS = {
         "pgf_jax.study.sweep_config:SweepConfig",
         _sweep,
     ),
+    "console": Command(
+        "guide a fleet from a browser, in real time",
+        "pgf_jax.console.config:ConsoleConfig",
+        _console,
+    ),
     "collect": Command(
-        "plan sampled scenes and keep every iteration, to train on",
+        "plan sampled scenes, or replay sessions, and keep every iteration, to train on",
         "pgf_jax.study.collect_config:CollectConfig",
         _collect,
     ),
     "train": Command("train the predictors on collected runs", "pgf_jax.cli:TrainCommand", _train),
+    "fit-operator": Command(
+        "fit the operator's service times to recorded sessions",
+        "pgf_jax.study.fit_operator_config:FitOperatorConfig",
+        _fit_operator,
+    ),
     "profile": Command(
         "measure the engines' speed on this computer",
         "pgf_jax.study.profile_config:ProfileConfig",
         _profile,
+    ),
+    "render": Command(
+        "draw a plan, a task or a fleet, as a picture or a film",
+        "pgf_jax.render.config:RenderConfig",
+        _render,
     ),
 }

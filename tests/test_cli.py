@@ -55,9 +55,17 @@ def process(*arguments: object) -> subprocess.CompletedProcess:
 # --- bad input ----------------------------------------------------------------------------------
 
 ARGUMENTS = {
-    "no command": ([], "command: expected one of plan, sweep, collect, train, profile, got none"),
+    "no command": (
+        [],
+        "command: expected one of plan, sweep, console, collect, train, fit-operator, profile, "
+        "render, got none",
+    ),
     "command": (["plane"], "got 'plane'"),
-    "console": (["console"], "command: expected one of plan, sweep"),
+    "robots": (["console", "--robots", "0"], "--robots: expected a whole number within 1..100"),
+    "host": (["console", "--host", "here"], "--host: expected an address such as 127.0.0.1"),
+    "live sweep": (["sweep", "--operator", "live"], "operator: live is for pgf-jax console"),
+    "log": (["sweep", "--log", "x"], "--log: expected with operator replay and only with it"),
+    "no log": (["sweep", "--operator", "replay", "--log", "x"], "x: no such file"),
     "option": (["plan", "--preset", "tight", "--bogus", "3"], "unrecognized options: --bogus 3"),
     "stray": (["plan", "--preset", "tight", "stray"], "unrecognized options: stray"),
     "no scene": (["plan"], "--scene, --preset: expected one of the two, got neither"),
@@ -113,7 +121,7 @@ ARGUMENTS = {
         ["collect", "both", "--scenes", 1, "--out", "x"],
         "mode: expected one of autonomous, forks, human, got 'both'",
     ),
-    "missing": (["collect", "human"], "options missing: --scenes, --out"),
+    "missing": (["collect", "human"], "options missing: --out"),
     "classes": (
         ["collect", "human", "--scenes", 1, "--out", "x", "--classes", "flat"],
         "--classes: expected one of medium, tight, wide, got 'flat'",

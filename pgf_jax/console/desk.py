@@ -102,7 +102,7 @@ class Desk:
         if robot is None:
             return Word("That is no shelf.", ok=False)
         if robot != self.asked.robot:
-            return Word(f"Robot {self.asked.robot + 1} asks, not robot {robot + 1}.", ok=False)
+            return Word(f"Robot {self.asked.robot} asks, not robot {robot}.", ok=False)
         if not (np.isfinite(x) and np.isfinite(y)):
             return Word("That is no place.", ok=False)
         if self.object is None:

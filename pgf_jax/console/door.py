@@ -17,6 +17,7 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+import msgspec
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
@@ -29,6 +30,10 @@ COOKIE = "pgf_jax_token"
 MESSAGES_PER_S = 100.0  # of a client; more wait, and so does who sends them
 BURST = 400.0  # a page says much as it opens
 LARGEST = 1 << 20  # bytes of a message
+# What a page says. A client could say more to viser, such as to open a public tunnel.
+ALLOWED = frozenset(
+    {"ViewerCameraMessage", "ScenePointerMessage", "GuiUpdateMessage", "CommandTriggerMessage"}
+)
 
 
 class Bucket:
@@ -150,18 +155,24 @@ def _patient(
 
     async def handle(connection: ServerConnection) -> None:
         bucket, receive = Bucket(MESSAGES_PER_S, BURST), connection.recv
-        told = False
+        told: set[str] = set()
 
-        async def recv(*arguments: Any, **options: Any) -> Any:
-            nonlocal told
-            message = await receive(*arguments, **options)
-            early_s = bucket.take()
-            if early_s > 0:
-                if not told:
-                    log.warning("client at %s sends too much: slowed", _host(connection))
-                told = True
-                await asyncio.sleep(early_s)
-            return message
+        def tell(what: str) -> None:
+            if what not in told:
+                told.add(what)
+                log.warning("client at %s %s", _host(connection), what)
+
+        async def recv() -> bytes:
+            while True:
+                message = await receive()
+                early_s = bucket.take()
+                if early_s > 0:
+                    tell("sends too much: slowed")
+                    await asyncio.sleep(early_s)
+                kind = _kind(message)
+                if kind in ALLOWED:
+                    return message  # pyright: ignore[reportReturnType]
+                tell(f"may not say {kind!r}: refused")
 
         connection.recv = recv
         try:
@@ -169,14 +180,20 @@ def _patient(
         except ConnectionClosed:
             pass
         except Exception as error:
-            log.warning(
-                "client at %s: malformed message (%s), closed",
-                _host(connection),
-                type(error).__name__,
-            )
+            tell(f"sent a malformed message ({type(error).__name__}): closed")
             await connection.close(1003, "malformed message")
 
     return handle
+
+
+def _kind(message: Any) -> str:
+    """What a message is, by the word in it that viser goes by; ValueError if it is none."""
+    if not isinstance(message, bytes):
+        raise ValueError("text, where bytes were expected")
+    content = msgspec.msgpack.decode(message)
+    if not isinstance(content, dict) or not isinstance(content.get("type"), str):
+        raise ValueError("no message of a page")
+    return content["type"][:60]
 
 
 def _host(connection: ServerConnection) -> str:

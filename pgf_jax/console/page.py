@@ -20,6 +20,7 @@ from pgf_jax.planning.types import Status
 
 log = logging.getLogger(__name__)
 
+MARGIN = 1.02  # around the poster
 FOV = 0.35  # rad: a long lens, which shows the poster flat
 ACTS_PER_S, ACTS_AT_ONCE = 10.0, 20.0  # of a client; nobody is that fast
 HELP = """\
@@ -117,9 +118,9 @@ class Page:
             head = "The session is over. Thank you."
         elif frame.picked is not None:
             waited = int(fleet.robots[frame.picked.robot].waited_s)
-            head = f"Robot {frame.picked.robot + 1} asks ({waited} s)"
+            head = f"Robot {frame.picked.robot} asks ({waited} s)"
         elif fleet.serving is not None:
-            head = f"Robot {fleet.serving + 1} is being helped"
+            head = f"Robot {fleet.serving} is being helped"
         elif self._live and not frame.running:
             head = "Waiting for an operator"
         elif self._live and not fleet.attended:
@@ -249,7 +250,7 @@ def _look(client: viser.ClientHandle) -> None:
 
 def _eye(aspect: float) -> tuple[float, float, float]:
     """Where the poster fills a canvas of that width over height."""
-    high = max(wall.HEIGHT, wall.WIDTH / max(aspect, 0.1)) * 1.02
+    high = max(wall.HEIGHT, wall.WIDTH / max(aspect, 0.1)) * MARGIN
     return wall.WIDTH / 2, wall.HEIGHT / 2, high / 2 / math.tan(FOV / 2)
 
 

@@ -345,10 +345,12 @@ def caption(robot: RobotSnapshot) -> str:
     if robot.push is not None and robot.state in (State.PLANNING, State.EXECUTING):
         word = "plans push" if robot.state is State.PLANNING else "pushes"
     solved = sum(status is Status.SOLVED for status in robot.done)
-    text = f"{robot.robot + 1} {word}"
+    failed = len(robot.done) - solved
+    text = f"{robot.robot} {word}"
     if robot.stuck and robot.state is State.PLANNING:
         text += ", stuck"
-    return f"{text}\n{bid_words(robot)}  {solved}/{len(robot.done)} done"
+    ended = f"{solved} solved" + (f", {failed} failed" if failed else "")
+    return f"{text}\n{bid_words(robot)}, {ended}"
 
 
 def bid_words(robot: RobotSnapshot) -> str:

@@ -1,0 +1,184 @@
+"""A plan's execution in time: its pushes with their retreats, then the reach, simulated again."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from pgf_jax.errors import BadInput
+from pgf_jax.fleet.records import State
+from pgf_jax.physics import hand
+from pgf_jax.physics.config import PHYSICS
+from pgf_jax.physics.engine import Engine, World, make_engine
+from pgf_jax.planning.planner import RETREAT_M, RETREAT_S, start_world
+from pgf_jax.planning.types import Push
+from pgf_jax.study.plan_file import Plan
+from pgf_jax.study.snapshot import RobotSnapshot
+
+# A knot is simulated in up to so many parts: between its ends, objects would lag behind the hand.
+_PARTS = 6
+
+
+class Motion:
+    """What a plan does, from simulated time 0; planning takes no time here.
+
+    Attributes:
+      plan: which.
+      times: [M] s, at which the rest is known; it is linear in between.
+      objects: [M, N, 2] centres, m.
+      hand: [M, 3] poses.
+      gripper: [M] 0 open .. 255 closed.
+
+    Raises:
+      BadInput: the plan's engine or physics is not there, or does not carry the plan out.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        if plan.physics not in PHYSICS:
+            raise BadInput(
+                f"plan {plan.scene.name}: expected physics of {', '.join(PHYSICS)}, "
+                f"got {plan.physics!r}"
+            )
+        engine = make_engine(
+            plan.engine, physics=PHYSICS[plan.physics], n_objects=len(plan.scene.objects), lanes=1
+        )
+        self.plan = plan
+        self._knots: list[np.ndarray] = []  # of each segment, [T + 1, 3] hand poses
+        self._pushes: list[Push | None] = []
+        self._starts: list[float] = []  # of each segment, s
+        world = start_world(plan.scene.positions)
+        rows = [_rows(np.zeros(1), world)]
+        for segment in plan.segments:
+            begins = float(rows[-1][0][-1])
+            self._starts.append(begins)
+            before = world
+            knot_s = segment.duration_s / len(segment.controls)
+            substeps = max(round(knot_s / engine.physics.substep_s), 1)
+            world, done = _roll(engine, world, segment.controls, segment.gripper, substeps, begins)
+            rows.append(done)
+            at_knots = np.linspace(0, len(done[0]), len(segment.controls) + 1).astype(int)
+            self._knots.append(np.concatenate([before.hand[None], done[2]])[at_knots])
+            push = segment.kind == "push"
+            self._pushes.append(_pushed(before.objects, world.objects) if push else None)
+            if push:
+                world, done = _retreat(engine, world, float(done[0][-1]))
+                rows.append(done)
+        table = [np.concatenate(part) for part in zip(*rows, strict=True)]
+        self.times, self.objects, self.hand, self.gripper = table
+        if not all(np.isfinite(part).all() for part in table):
+            raise BadInput(
+                f"plan {plan.scene.name}: does not stay finite in engine {plan.engine}; "
+                "expected a plan that can be executed"
+            )
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes, s."""
+        return float(self.times[-1])
+
+    def at(self, time_s: float) -> RobotSnapshot:
+        """The robot at a time (s), done from the end on.
+
+        A plan's file does not say what it was told to push: the push shown is of the object that
+        moved farthest, to where that came.
+        """
+        time_s = min(max(time_s, 0.0), self.duration_s)
+        over = time_s >= self.duration_s
+        segment = max(int(np.searchsorted(self._starts, time_s, "right")) - 1, 0)
+        last = len(self.times) - 1
+        after = min(max(int(np.searchsorted(self.times, time_s, "right")), 1), last)
+        low, high = self.times[after - 1], self.times[after]
+        share = (time_s - low) / (high - low)
+
+        def between(values: np.ndarray) -> np.ndarray:
+            return values[after - 1] + share * (values[after] - values[after - 1])
+
+        plan = self.plan
+        return RobotSnapshot(
+            robot=0,
+            task=0,
+            scene=plan.scene.name,
+            state=State.IDLE if over else State.EXECUTING,
+            objects=between(self.objects),
+            goal=plan.scene.goal,
+            hand=between(self.hand),
+            gripper=float(between(self.gripper)),
+            path=self._knots[segment],
+            push=self._pushes[segment],
+            # Without the small terms for the shelf's edge and walls, which the file does not keep.
+            costs=tuple(float(c) for c in plan.history.sum(1)),
+            inputs_at=plan.history_starts[1:],
+            stuck=False,
+            gain=math.nan,
+            bid=None,
+            waited_s=time_s - (0.0 if over else self._starts[segment]),
+            done=(plan.status,) if over else (),
+        )
+
+    def film(
+        self, step_s: float, start_s: float = 0.0, stop_s: float | None = None
+    ) -> Iterator[RobotSnapshot]:
+        """Snapshots every `step_s` from `start_s` to `stop_s` (default: the end), both included."""
+        last_s = self.duration_s if stop_s is None else stop_s
+        for i in range(self.frames(step_s, start_s, stop_s)):
+            yield self.at(min(start_s + i * step_s, last_s))
+
+    def frames(self, step_s: float, start_s: float = 0.0, stop_s: float | None = None) -> int:
+        """How many snapshots `film` yields."""
+        stop_s = self.duration_s if stop_s is None else min(stop_s, self.duration_s)
+        if start_s > stop_s:
+            return 0
+        # One more than fits where the steps do not meet the end, which shall be seen.
+        return math.ceil((stop_s - start_s) / step_s - 1e-9) + 1
+
+
+_Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # times, objects, hand, gripper
+
+
+def _rows(times: np.ndarray, world: World) -> _Rows:
+    return times, world.objects[None], world.hand[None], np.array([world.gripper])
+
+
+def _roll(
+    engine: Engine,
+    start: World,
+    controls: np.ndarray,
+    gripper: np.ndarray,
+    substeps: int,
+    begins_s: float,
+) -> tuple[World, _Rows]:
+    """Simulate controls ([T, 3], `substeps` each): the world after, and what was on the way."""
+    parts = max(p for p in range(1, _PARTS + 1) if substeps % p == 0)
+    targets = np.concatenate([[start.gripper], gripper])
+    shares = np.arange(1, parts + 1) / parts
+    fingers = (targets[:-1, None] + np.diff(targets)[:, None] * shares).reshape(-1)
+    out = engine.rollout(
+        World(*(np.asarray(value, np.float32)[None] for value in start)),
+        np.repeat(controls, parts, axis=0).astype(np.float32)[None],
+        fingers.astype(np.float32)[None],
+        substeps // parts,
+    )
+    objects, poses, velocities = (
+        np.asarray(a, np.float32)[0] for a in (out.objects, out.hand, out.velocities)
+    )
+    step = substeps // parts * engine.physics.substep_s
+    times = begins_s + step * np.arange(1, len(fingers) + 1)
+    after = World(objects[-1], velocities, poses[-1], np.float32(fingers[-1]))
+    return after, (times, objects, poses, fingers)
+
+
+def _retreat(engine: Engine, start: World, begins_s: float) -> tuple[World, _Rows]:
+    """Straight back, as `BatchPlanner.retreat` does after a push."""
+    physics = engine.physics
+    substeps = round(RETREAT_S / physics.substep_s / physics.knots)
+    yaw = float(start.hand[2]) + hand.POINTING_YAW
+    back = -np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    speed = RETREAT_M / (substeps * physics.knots * physics.substep_s)
+    controls = np.repeat((speed * back)[None], physics.knots, axis=0)
+    still = np.full(physics.knots, start.gripper)
+    return _roll(engine, start, controls, still, substeps, begins_s)
+
+
+def _pushed(before: np.ndarray, after: np.ndarray) -> Push:
+    farthest = int(np.argmax(((after - before) ** 2).sum(-1)))
+    return Push(farthest, float(after[farthest, 0]), float(after[farthest, 1]))

@@ -1,0 +1,113 @@
+"""The console as a person meets it: a browser, a mouse, and the event log."""
+
+import numpy as np
+import polars as pl
+from pages import (
+    browser,
+    click_shelf,
+    console,
+    interrupt,
+    large,
+    scene_of,
+    visit,
+    wait_for,
+    wait_for_text,
+)
+
+import pgf_jax
+from pgf_jax.console.desk import target_problem
+from pgf_jax.guidance.operators import View
+from pgf_jax.planning.planner import start_world
+from pgf_jax.planning.types import Push
+from pgf_jax.study.event_log import first_difference, read_log
+
+
+def a_push(scene) -> Push:
+    """Of an object at the front, to a place that is free."""
+    positions = scene.positions
+
+    class Shelf(View):
+        def __init__(self):
+            pass
+
+    shelf = Shelf()
+    object.__setattr__(shelf, "objects", start_world(positions).objects)
+    for pushed in np.argsort(positions[:, 0]):
+        for dx, dy in ((0.04, 0.0), (0.03, 0.05), (0.03, -0.05), (0.0, 0.07), (0.0, -0.07)):
+            x, y = positions[pushed] + (dx, dy)
+            if pushed != scene.goal and not target_problem(shelf, int(pushed), x, y):
+                return Push(int(pushed), float(x), float(y))
+    raise AssertionError("no object can be pushed anywhere")
+
+
+def test_a_person_clicks_an_object_and_a_place_and_the_robot_goes_on_with_that(tmp_path):
+    """And leaves, comes back, is watched; and the session replays as it was."""
+    # `always` asks before it plans, so a robot asks at once.
+    options = ("--robots", "2", "--tasks", "1", "--policy", "always", "--seed", "0")
+    with console(tmp_path / "s", *options) as server, browser() as chromium:
+        page = visit(chromium, server.url)
+        wait_for_text(page, "Robot 0 asks")
+        push, cell = a_push(scene_of(0, 0)), large(2, 0)
+        positions = scene_of(0, 0).positions
+
+        click_shelf(page, cell, positions[push.object])
+        wait_for_text(page, f"Object {push.object + 1}: now click where it should come to.")
+        # What cannot be meant is refused, and nothing is lost.
+        click_shelf(page, cell, np.array([0.5, 0.43]))
+        wait_for_text(page, "That is outside the shelf.")
+        click_shelf(page, cell, positions[scene_of(0, 0).goal])
+        wait_for_text(page, f"Object {scene_of(0, 0).goal + 1} stands there.")
+        click_shelf(page, cell, np.array([push.x, push.y]))
+        wait_for_text(page, "Confirm (Enter)")
+
+        # Somebody else may watch, and no more.
+        other = visit(chromium, server.url)
+        wait_for_text(other, "Somebody else operates")
+        other.get_by_role("button", name="Push").click()
+        wait_for_text(other, "you watch")
+        other.close()
+        assert not [e for e in server.events() if e["kind"] == "service_end"]
+
+        page.get_by_role("button", name="Push").click()
+        wait_for_text(page, f"Object {push.object + 1} to (")
+        given = server.wait_for(
+            lambda events: [e for e in events if e["kind"] == "service_end" and e["robot"] == 0]
+        )[0]
+        assert (given["outcome"], given["object"]) == ("push", push.object)
+        # Within two pixels of where the mouse was.
+        assert np.hypot(given["x"] - push.x, given["y"] - push.y) < 0.003
+        # The task goes on with that very input: the robot plans this push.
+        server.wait_for(
+            lambda events: [
+                e
+                for e in events
+                if e["kind"] == "iteration" and e["robot"] == 0 and e.get("object") == push.object
+            ]
+        )
+
+        # The second robot has waited in line; this one is answered by keyboard.
+        wait_for_text(page, "Robot 1 asks")
+        page.close()
+        server.wait_for(lambda events: [e for e in events if e["kind"] == "operator_away"])
+        page = visit(chromium, server.url)
+        server.wait_for(lambda events: [e for e in events if e["kind"] == "operator_back"])
+        wait_for_text(page, "Robot 1 asks")
+        page.keyboard.press("g")
+        wait_for_text(page, "Go on reaching.")
+        server.wait_for(
+            lambda events: [
+                e for e in events if e["kind"] == "service_end" and e.get("outcome") == "go_on"
+            ]
+        )
+        wait_for(lambda: "you watch" in server.log())
+        interrupt(server)
+
+    log = read_log(tmp_path / "s")
+    replayed = pgf_jax.sweep(
+        pgf_jax.SweepConfig(operator="replay", log=tmp_path / "s", out=tmp_path / "r"), quiet=True
+    )
+    events = replayed.events().drop("policy", "robots")
+    assert events.equals(pl.read_parquet(tmp_path / "s" / "events.parquet"))
+    # What was written as it went is its beginning: the end is in the tables only.
+    journal = read_log(tmp_path / "s" / "events.jsonl")
+    assert first_difference(log.events, journal.events) is None
