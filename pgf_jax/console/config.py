@@ -94,6 +94,11 @@ class ConsoleConfig:
                 f"host: expected an address such as {LOOPBACK} or 0.0.0.0, got {self.host!r}"
             ) from None
         one_of("operator", self.operator, ["live", "replay", *operator_names()])
+        if self.policy == "oracle-gain" and self.operator in ("live", "replay"):
+            raise BadInput(
+                "policy: oracle-gain asks the operator at every iteration what they would say; "
+                f"expected another one with operator {self.operator}"
+            )
         if self.resume and self.operator != "live":
             raise BadInput(f"resume: only live sessions are resumed, got {self.operator!r}")
         self.sweep()

@@ -15,7 +15,7 @@ from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
 
 REACH = 1.25  # of an object's radius: how far beside it a click still means it
 CLEARANCE = 1e-3  # m, by which a target may overlap what it touches: nobody clicks so finely
-STEP = 0.01  # m, of an arrow key
+STEP = 0.01  # m, of a key
 
 
 @dataclasses.dataclass(frozen=True)

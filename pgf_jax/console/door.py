@@ -174,7 +174,7 @@ def _patient(
                     return message  # pyright: ignore[reportReturnType]
                 tell(f"may not say {kind!r}: refused")
 
-        connection.recv = recv
+        connection.recv = recv  # pyright: ignore[reportAttributeAccessIssue]
         try:
             await handler(connection)
         except ConnectionClosed:

@@ -10,7 +10,7 @@ from pgf_jax.console.session import Frame
 from pgf_jax.console.wall import Disks, Layout, Squares
 from pgf_jax.scene.scene import RADIUS
 
-_SIDES = 24  # of a disk
+_SIDES = 16  # of a disk
 _TURN = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
 _DISK = np.concatenate([[[0, 0, 0]], np.stack([np.cos(_TURN), np.sin(_TURN), 0 * _TURN], -1)])
 _FAN = np.array([[0, 1 + i, 1 + (i + 1) % _SIDES] for i in range(_SIDES)])
@@ -148,7 +148,9 @@ class Drawing:
 
     def _segments(self, name: str, color: tuple[int, int, int], width: int) -> Any:
         points = np.full((_PAD, 2, 3), _AWAY, np.float32)
-        return self._scene.add_line_segments(f"/{name}", points, color, line_width=width)
+        return self._scene.add_line_segments(
+            f"/{name}", points, color, thickness=width, thickness_units="screen"
+        )
 
     def _label(self, name: str, anchor: Any) -> Any:
         return self._scene.add_label(

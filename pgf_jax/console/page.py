@@ -26,8 +26,8 @@ ACTS_PER_S, ACTS_AT_ONCE = 10.0, 20.0  # of a client; nobody is that fast
 HELP = """\
 **Mouse**: click an object, then the place it should come to, then *Push*.
 
-**Keyboard**: Tab next object, arrows move its place, Enter push, Escape undo, G go on reaching,
-O operate, V view.
+**Keyboard**: Tab next object, I J K L move its place, Enter push, Escape undo, G go on reaching,
+O operate, V view from the front.
 """
 
 
@@ -147,10 +147,11 @@ class Page:
                 gui.add_button(label, color=color).on_click(self._handler(do))
                 gui.add_command(label, hotkey=key).on_trigger(self._handler(do))
             moves: tuple[tuple[Any, str, int, int], ...] = (
-                ("arrowup", "Place deeper", 1, 0),
-                ("arrowdown", "Place nearer", -1, 0),
-                ("arrowleft", "Place to the left", 0, 1),
-                ("arrowright", "Place to the right", 0, -1),
+                # The arrows, and W A S D Q E, move viser's camera.
+                ("I", "Place deeper", 1, 0),
+                ("K", "Place nearer", -1, 0),
+                ("J", "Place to the left", 0, 1),
+                ("L", "Place to the right", 0, -1),
             )
             for key, label, deeper, left in moves:
                 gui.add_command(label, hotkey=key).on_trigger(

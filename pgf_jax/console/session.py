@@ -6,6 +6,7 @@ through `ask`; its reply is sent when what it led to is on the disk.
 """
 
 import dataclasses
+import functools
 import logging
 import queue
 import time
@@ -26,6 +27,7 @@ log = logging.getLogger(__name__)
 
 TICK_S = 0.02  # how long nothing is done at most
 FRAME_S = 0.2  # between pictures of a fleet in which nothing is picked
+LATE = Word("Too late: the robot had no time left.", ok=False)
 HOLD_S = 0.5  # how far the computer may be behind before the clock waits for it
 
 
@@ -121,7 +123,7 @@ class Session:
         self._live = setting.config.operator == "live"
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._replies: list[Callable[[], None]] = []  # sent when all is on the disk
-        self._answers: dict[tuple, Callable[[], None]] = {}  # by service: when its end is
+        self._answers: dict[tuple, Callable[[bool], None]] = {}  # by service: when its end is
         self._until_ns = setting.start_ns
         self._asked_ns = setting.start_ns  # when the service under way began
         self._seen = len(self.play.fleet.events)
@@ -142,7 +144,7 @@ class Session:
                 log.exception("a client's act failed")
                 word = Word("That did not work.", ok=False)
             if word.answered and asked is not None:
-                self._answers[asked.service] = lambda: reply(word)
+                self._answers[asked.service] = lambda in_time: reply(word if in_time else LATE)
             else:
                 self._replies.append(lambda: reply(word))
             self._frame_at = 0.0  # to be seen at once
@@ -246,7 +248,7 @@ class Session:
         self.record.write()
         replies, self._replies = self._replies, []
         for reply in replies:
-            reply()
+            _safely(reply)
 
     def _give_up_waiting(self, now_ns: int) -> None:
         if self.desk.asked is None:
@@ -264,7 +266,8 @@ class Session:
                 continue
             service = (event.robot, event.task, event.request)
             if service in self._answers:
-                self._replies.append(self._answers.pop(service))
+                in_time = event.outcome in ("push", "go_on")
+                self._replies.append(functools.partial(self._answers.pop(service), in_time))
             elif self.desk.asked is not None and self.desk.asked.service == service:
                 log.info("robot %d has no time left for an answer", event.robot)
                 self.desk.close()
@@ -297,13 +300,20 @@ class Session:
         asked, desk = self.desk.asked, self.desk
         picked = asked and Picked(asked.robot, desk.object, desk.target, desk.problem)
         time_ns = max(self.clock.now_ns(), self.play.fleet.now_ns)
-        self._on_frame(
-            Frame(
-                self.play.watch.snapshot(time_ns),
-                picked,
-                desk.operator is not None,
-                self.clock.running,
-                over,
-                self.clock.held_s,
-            )
+        frame = Frame(
+            self.play.watch.snapshot(time_ns),
+            picked,
+            desk.operator is not None,
+            self.clock.running,
+            over,
+            self.clock.held_s,
         )
+        _safely(functools.partial(self._on_frame, frame))
+
+
+def _safely(show: Callable[[], None]) -> None:
+    """Whatever is wrong with a page, the fleet keeps planning."""
+    try:
+        show()
+    except Exception:
+        log.exception("a page could not be told")

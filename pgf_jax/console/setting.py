@@ -114,7 +114,8 @@ class Setting:
         difference = compare(play.fleet.events, self.earlier)
         if difference is not None:
             raise BadInput(difference)
-        if play.fleet.done:
+        # One that was killed before its tables were written has only these to come.
+        if play.fleet.done and (self.config.out / TABLE).exists():
             raise BadInput(
                 f"{self.earlier.path}: the session has ended; there is nothing to resume"
             )

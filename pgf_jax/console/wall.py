@@ -24,6 +24,8 @@ CELL_WIDTH, CELL_HEIGHT = 0.90, 1.10
 SHELF_V = 0.25  # of x = 0 over the cell's lower edge
 CURVE_V = (0.02, 0.17)  # the curve's strip
 LARGE_TOP = 0.89  # a large shelf's cell goes from over the curve to under the caption
+DETAILED = 3.0  # scale from which on rims and fingers can be told apart
+_OUTLINE = np.array([0, 1, 2, 5, 7, 11, 13])  # base, wrist, palm, couplers, fingers' backs
 CAPTION_V = 1.09  # top of the caption
 LARGE_CURVE = (4.1, 2.6)  # width and height beside a large shelf, units
 GAP = 0.15
@@ -197,8 +199,11 @@ def shelves(pairs: list[tuple[Cell, RobotSnapshot]]) -> Squares:
 
 
 def objects(pairs: list[tuple[Cell, RobotSnapshot]], chosen: int | None) -> tuple[Disks, Disks]:
-    """The objects, and the rims behind them; `chosen` is marked on the large shelf."""
-    centers, radii, colors = [], [], []
+    """The objects, and the rims behind them where they are large enough to be seen.
+
+    `chosen` is marked on the large shelf.
+    """
+    centers, radii, colors, rimmed = [], [], [], []
     for cell, robot in pairs:
         n = len(robot.objects)
         color = np.tile(np.array(OBJECT), (n, 1))
@@ -210,24 +215,29 @@ def objects(pairs: list[tuple[Cell, RobotSnapshot]], chosen: int | None) -> tupl
         centers.append(cell.place(robot.objects))
         radii.append(np.full(n, cell.scale * RADIUS))
         colors.append(color)
+        rimmed.append(np.full(n, cell.scale >= DETAILED))
     center = np.concatenate([*centers, np.empty((0, 2))])
     radius = np.concatenate([*radii, np.empty(0)])
     color = np.concatenate([*colors, np.empty((0, 3))])
-    inner = Disks(_at(center, 0.03), 0.88 * radius, color)
-    return inner, Disks(_at(center, 0.025), radius, np.tile(np.array(RIM), (len(center), 1)))
+    rim = np.concatenate([*rimmed, np.empty(0, bool)])
+    inner = Disks(_at(center, 0.03), np.where(rim, 0.88, 1.0) * radius, color)
+    edge = np.tile(np.array(RIM), (int(rim.sum()), 1))
+    return inner, Disks(_at(center[rim], 0.025), radius[rim], edge)
 
 
 def hands(pairs: list[tuple[Cell, RobotSnapshot]]) -> Squares:
-    """The hands: each capsule as a rectangle of its width."""
+    """The hands: each capsule as a rectangle of its width; the largest ones on small shelves."""
     centers, angles, sizes = [], [], []
     for cell, robot in pairs:
-        ends = hand.capsule_segments(np.float64(robot.gripper))  # [C, 2, 2] in the hand's frame
+        capsules = np.arange(hand.N_CAPSULES) if cell.scale >= DETAILED else _OUTLINE
+        # [C, 2, 2] in the hand's frame
+        ends = hand.capsule_segments(np.float64(robot.gripper))[capsules]
         c, s = np.cos(robot.hand[2]), np.sin(robot.hand[2])
         ends = cell.place(ends @ np.array([[c, s], [-s, c]]) + robot.hand[:2])
         along = ends[:, 1] - ends[:, 0]
         centers.append(ends.mean(1))
         angles.append(np.arctan2(along[:, 1], along[:, 0]))
-        wide = 2 * cell.scale * hand.RADII
+        wide = 2 * cell.scale * hand.RADII[capsules]
         sizes.append(np.stack([np.hypot(*along.T) + wide, wide], -1))
     center = np.concatenate([*centers, np.empty((0, 2))])
     color = np.tile(np.array(HAND), (len(center), 1))

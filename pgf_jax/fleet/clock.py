@@ -25,8 +25,8 @@ class Order(enum.IntEnum):
     """
 
     EXPIRY = 0
-    SERVICE_END = 1
-    ATTENDANCE = 2
+    ATTENDANCE = 1
+    SERVICE_END = 2
     EXECUTION_END = 3
     ITERATION_END = 4
     WINDOW_CLOSE = 5

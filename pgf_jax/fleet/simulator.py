@@ -17,6 +17,7 @@ that the fleet has been advanced to. The log then says when, so the same inputs 
 make the same log again.
 """
 
+import bisect
 import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -40,6 +41,10 @@ class Attendance(NamedTuple):
     time_ns: int
     operator: int
     present: bool
+
+
+def _time(change: Attendance) -> int:
+    return change.time_ns
 
 
 class Fleet:
@@ -94,7 +99,8 @@ class Fleet:
         self._ledger = Ledger()
         self._until_ns = 0  # the latest time that it has been advanced to
         self._calendar = Calendar()
-        self._attendance = sorted(attendance)  # still to come
+        # Still to come; at one instant in the order given.
+        self._attendance = sorted(attendance, key=_time)
         self._schedule_attendance()
         for robot in range(config.robots):
             self._calendar.schedule(0, Order.NEW_TASK, robot)
@@ -133,23 +139,29 @@ class Fleet:
         """Hand in the result of a piece of work; nothing happens before the next `advance`.
 
         A result that comes after the fleet is done (its horizon cut the work off) is ignored. The
-        input of an open service ends it at the first instant that has not been advanced to.
+        input of an open service ends it at the first instant that has not been advanced to; one
+        that comes after the task's limit is ignored, too.
 
         Raises:
           ValueError: the work was not handed out, or has been delivered before.
           TypeError: the result is not of the type that the work's kind asks for.
         """
-        if self._ledger.hand_in(work, result) and not self.done:
+        if not self._ledger.hand_in(work, result) or self.done:
+            return
+        if self._next_ns() <= self._runs[work.robot].deadline_ns:
             self._calendar.schedule(self._next_ns(), Order.SERVICE_END, work.robot, work)
+        else:  # the task's limit has passed, though the fleet has not come to it yet
+            self._ledger.use(work)
 
     def attend(self, operator: int, present: bool) -> None:
         """An operator comes or leaves at the first instant that has not been advanced to."""
-        self._attendance.append(Attendance(self._next_ns(), operator, present))
+        change = Attendance(self._next_ns(), operator, present)
+        bisect.insort(self._attendance, change, key=_time)
         self._schedule_attendance()
 
     def stop(self) -> None:
-        """The horizon is the first instant that has not been advanced to."""
-        self._horizon_ns = self._next_ns()
+        """The horizon is the first instant that has not been advanced to, if it was later."""
+        self._horizon_ns = int(min(self._last_ns, self._next_ns()))
 
     # --- to look at -----------------------------------------------------------------------------
 

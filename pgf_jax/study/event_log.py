@@ -7,11 +7,12 @@ write theirs as such a table too, of one fleet or, with the columns `policy` and
 
 import contextlib
 import dataclasses
+import fcntl
 import io
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import polars as pl
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.events import Event, EventKind
-from pgf_jax.guidance.tables import read_provenance, write_table
+from pgf_jax.guidance.tables import read_provenance, write_atomically, write_table
 from pgf_jax.study.results import (
     EVENT_SCHEMA,
     MERGED_EVENT_SCHEMA,
@@ -144,12 +145,12 @@ def _event(columns: Any, where: str) -> Event:
     if columns.get("gain") == "inf":
         columns["gain"] = math.inf
     for name in ("gain", "x", "y"):
-        if type(columns.get(name)) is int:
+        if type(columns.get(name)) is int and abs(columns[name]) < 2**53:
             columns[name] = float(columns[name])
     for name in ("time_ns", "kind"):
         if name not in columns:
             raise BadInput(f"{where}: expected an event with {name}, got none")
-    if columns["kind"] not in set(EventKind):
+    if not isinstance(columns["kind"], str) or columns["kind"] not in set(EventKind):
         raise BadInput(f"{where}: unknown kind of event {_short(columns['kind'])}")
     for name, value in columns.items():
         wanted = {pl.Int64(): int, pl.Float64(): float, pl.String(): str}[EVENT_SCHEMA[name]]
@@ -216,10 +217,17 @@ def _header(content: Any, where: str) -> dict[str, Any]:
         raise BadInput(f"{where}: expected the head of an event log, got {_short(content)}")
     if content.get("format") != FORMAT:
         raise BadInput(f"{where}: format {_short(content.get('format'))}, expected {FORMAT}")
+    return _checked(content, where)
+
+
+def _checked(about: dict[str, Any], where: str) -> dict[str, Any]:
+    """What a session says of itself, if it is that."""
     for name in ("settings", "identity"):
-        if not isinstance(content.get(name), dict):
+        if not isinstance(about.get(name), dict):
             raise BadInput(f"{where}: expected {name} of the session, got none")
-    return content
+    if not isinstance(about["identity"].get("versions"), dict):
+        raise BadInput(f"{where}: expected versions in the session's identity, got none")
+    return about
 
 
 def _read_table(path: Path) -> pl.DataFrame:
@@ -241,7 +249,9 @@ def _provenance(path: Path) -> Mapping[str, Any]:
         about = read_provenance(path)
     except BadInput:  # a cell of a sweep does not say
         return {}
-    return about if isinstance(about, dict) else {}
+    if not isinstance(about, dict) or "settings" not in about:
+        return {}
+    return _checked(about, str(path))
 
 
 def _short(value: object) -> str:
@@ -271,26 +281,30 @@ class Journal:
           BadInput: the file cannot be written, or, for a new one, is there.
         """
         self.path = path
+        if about is not None:
+            with self._writing():
+                exists = path.exists()
+            if exists:
+                raise BadInput(f"{path}: exists; expected a new folder, or --resume")
+            head = json.dumps({"what": _KIND, "format": FORMAT, **about}) + "\n"
+            write_atomically(path, head.encode())  # never a part of it: who would read that?
+            keep = len(head.encode())
+        with self._writing():
+            self._file: io.BufferedIOBase = path.open("r+b")
         try:
-            if about is None:
-                self._file: io.BufferedIOBase = path.open("r+b")
-                self._file.truncate(keep)
-                self._file.seek(keep)
-            else:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                self._file = path.open("xb")
-                head = {"what": _KIND, "format": FORMAT, **about}
-                self._file.write((json.dumps(head) + "\n").encode())
-        except FileExistsError:
-            raise BadInput(f"{path}: exists; expected a new folder, or --resume") from None
-        except OSError as error:
-            raise BadInput(f"{path}: cannot be written ({error.strerror})") from None
-        self._sync()
-        folder = os.open(path.parent, os.O_RDONLY)  # the file's name is to be on the disk, too
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._file.close()
+            raise BadInput(f"{path}: another server writes it; stop that one first") from None
+        with self._writing():
+            self._file.truncate(keep)
+            self._file.seek(keep)
+            os.fsync(self._file.fileno())
+            folder = os.open(path.parent, os.O_RDONLY)  # the file's name is to be there, too
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
 
     def append(self, events: Sequence[Event]) -> None:
         """Write events; they are on the disk when this returns.
@@ -300,16 +314,19 @@ class Journal:
         """
         if not events:
             return
-        self._file.write("".join(map(line, events)).encode())
-        self._sync()
+        with self._writing():
+            self._file.write("".join(map(line, events)).encode())
+            self._file.flush()
+            os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
+        with self._writing():
+            self._file.close()
 
-    def _sync(self) -> None:
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
         try:
-            self._file.flush()
-            os.fsync(self._file.fileno())
+            yield
         except OSError as error:
             raise BadInput(f"{self.path}: cannot be written ({error.strerror})") from None

@@ -143,11 +143,18 @@ def replaying(config: SweepConfig, log: EventLog) -> SweepConfig:
         (cell,) = replay.cells()
     except (BadInput, TypeError, ValueError) as error:
         raise BadInput(f"{log.path}: settings that cannot be used: {error}") from None
+    recording = Recording.of(log)
+    for change in recording.attendance:
+        if change.operator >= replay.operators:
+            raise BadInput(
+                f"{log.path}: operator {change.operator} of {replay.operators} leaves or comes back"
+            )
     ended = sum(event.kind is EventKind.TASK_END for event in log.events)
     cut = any(event.outcome == "censored" for event in log.events)
     if cut or ended < cell.robots * cell.tasks:
         # It was stopped, or its server was killed: nothing is known of what came after.
-        replay = dataclasses.replace(replay, horizon=max(1, Recording.of(log).end_ns) / 1e9)
+        # At the horizon itself no task begins, which one may have done at a kill.
+        replay = dataclasses.replace(replay, horizon=(recording.end_ns + (not cut)) / 1e9)
     return replay
 
 
@@ -174,9 +181,9 @@ def compare(events: list[Event], log: EventLog) -> str | None:
     number = first_difference(events, log.events)
     if number is None:
         return None
-    versions = log.about.get("identity", {}).get("versions", {})
+    versions = log.about.get("identity", {}).get("versions", {}).items()
     return f"{log.path}: the replay differs from event {number + 1} on; it was recorded with " + (
-        ", ".join(f"{name} {version}" for name, version in versions.items()) or "other versions"
+        ", ".join(f"{name} {version}" for name, version in versions) or "other versions"
     )
 
 

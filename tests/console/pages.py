@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("viser", reason="needs the extra [console]")
+from playwright.sync_api import sync_playwright
 
 from pgf_jax.console import wall
 from pgf_jax.console.page import MARGIN
@@ -94,11 +93,10 @@ def console(out: Path, *options: str) -> Iterator[Server]:
 @contextlib.contextmanager
 def browser() -> Iterator[Any]:
     """Headless Chromium; skips where there is none."""
-    api = pytest.importorskip("playwright.sync_api", reason="needs Playwright")
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path is None:
         pytest.skip("needs Chromium (apt-get install chromium)")
-    with api.sync_playwright() as playwright:
+    with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=path, args=CHROMIUM)
         try:
             yield chromium

@@ -173,7 +173,6 @@ def test_a_limit_that_passes_while_the_fleet_is_not_looked_at():
     desk.verify()
 
 
-@pytest.mark.xfail(strict=True, reason="`deliver` replaces the limit by a later end of the service")
 def test_an_input_that_counts_after_the_limit_is_too_late():
     # Robot 1's iteration keeps the fleet from reaching the limit, but not the wall clock.
     robots = scripted({0: "s", 1: "."})
@@ -410,7 +409,6 @@ def test_attendance_counts_from_the_instant_after():
     assert desk.fleet.events[-1].time_ns == nanoseconds(1.25) + 1
 
 
-@pytest.mark.xfail(strict=True, reason="at one instant a service ends before its operator leaves")
 def test_an_operator_who_leaves_with_an_answer_takes_on_nobody():
     desk = Desk({0: "f", 1: "f"}, policy="always", robots=2)
     desk.to(60.0)
@@ -420,7 +418,6 @@ def test_an_operator_who_leaves_with_an_answer_takes_on_nobody():
     assert desk.fleet.operators.serving(0) is None
 
 
-@pytest.mark.xfail(strict=True, reason="attendance is sorted by (time, operator, present)")
 @pytest.mark.parametrize(
     "changes", [[(0, True), (0, False)], [(1, False), (0, False)]], ids=["one", "two operators"]
 )
@@ -441,7 +438,6 @@ def test_changes_of_one_instant_keep_their_order_in_a_replay(changes):
     assert again.log() == desk.log()
 
 
-@pytest.mark.xfail(strict=True, reason="`attend` puts a change behind those that come later")
 def test_a_change_now_comes_before_one_that_was_planned():
     desk = Desk({0: ". . . f"}, policy="autonomous", attendance=[Attendance(6 * S, 0, True)])
     desk.to(2.0)
@@ -609,7 +605,6 @@ def test_an_input_counts_when_the_fleet_is_stopped_after_it():
     desk.verify()
 
 
-@pytest.mark.xfail(strict=True, reason="`stop` puts the horizon off where the clock is beyond it")
 def test_a_stop_does_not_put_the_horizon_off():
     fleet = Fleet(FleetConfig(tasks=1, policy="autonomous", horizon_s=3.0), robots := noisy(0))
     pending = fleet.advance(5 * S)
@@ -650,7 +645,6 @@ class Live:
         stop_ns = chance.choice([None, None, chance.randrange(100 * S)])
         outstanding: list[Work] = []
         asked: list[Work] = []
-        attended_ns = 0
         while not fleet.done:
             self.until_ns += step(chance)
             self._advance(fleet, robots, outstanding, asked)
@@ -665,18 +659,16 @@ class Live:
             if asked and chance.random() < 0.3:
                 work = asked.pop(chance.randrange(len(asked)))
                 fleet.deliver(work, chance.choice([PUSH, PUSH, None, UNANSWERED]))
-            # One change an instant: see `test_changes_of_one_instant_keep_their_order_in_a_replay`.
-            if chance.random() < 0.1 and self.until_ns > attended_ns:
+            while chance.random() < 0.1:  # several at one instant, too
                 fleet.attend(chance.randrange(self.config.operators), chance.random() < 0.6)
-                attended_ns = self.until_ns
         return fleet
 
     def _stop(self, fleet: Fleet) -> None:
         horizon_s = (self.until_ns + 1) / 1e9
-        # See `test_a_stop_does_not_put_the_horizon_off`.
-        if self.config.horizon_s is None or horizon_s < self.config.horizon_s:
-            fleet.stop()
-            self.config = dataclasses.replace(self.config, horizon_s=horizon_s)
+        fleet.stop()
+        if self.config.horizon_s is not None:
+            horizon_s = min(horizon_s, self.config.horizon_s)
+        self.config = dataclasses.replace(self.config, horizon_s=horizon_s)
 
     def _advance(self, fleet, robots, outstanding, asked) -> None:
         while True:
@@ -702,8 +694,6 @@ class Live:
             not fleet.done
             and run.state is State.SERVED
             and (run.task, run.request) == (work.task, work.request)
-            # See `test_an_input_that_counts_after_the_limit_is_too_late`.
-            and self.until_ns < run.deadline_ns
         )
 
     @staticmethod

@@ -268,7 +268,6 @@ def test_a_line_that_is_no_event(what, tmp_path):
         assert f": line {number}: " in bad(with_line(path, text, number), words)
 
 
-@pytest.mark.xfail(strict=True, reason="`in set(...)` and `float(...)` raise for such values")
 @pytest.mark.parametrize(
     "text",
     [
@@ -402,7 +401,6 @@ def test_the_log_of_no_fleet(tmp_path):
         _ = empty.events
 
 
-@pytest.mark.xfail(strict=True, reason="the settings of a table are not looked at")
 @pytest.mark.parametrize("about", [{"settings": 5, "identity": {}}, {"settings": {}}])
 def test_what_a_table_says_of_itself_is_checked_like_a_head(about, tmp_path):
     write_log(tmp_path / TABLE, FEW, about)
@@ -473,10 +471,7 @@ def test_journals_that_cannot_be_written(tmp_path):
     "count",
     [
         1,
-        pytest.param(
-            5000,
-            marks=pytest.mark.xfail(strict=True, reason="`write` is not in `append`'s try"),
-        ),
+        5000,
     ],
 )
 def test_a_full_disk_is_said(count, tmp_path):
