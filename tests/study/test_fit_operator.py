@@ -17,9 +17,10 @@ from pgf_jax.fleet.service import LogNormal
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
 from pgf_jax.guidance.tables import write_atomically
 from pgf_jax.planning.types import UNANSWERED, Push
-from pgf_jax.study import fit_operator, results
+from pgf_jax.study import fit_operator, results, service_fit
 from pgf_jax.study.event_log import Journal, write_log
-from pgf_jax.study.fit_operator import Service, ServiceSample, fit, service_times
+from pgf_jax.study.fit_operator import service_times
+from pgf_jax.study.service_fit import Service, ServiceSample, fit
 from pgf_jax.study.sweep_config import Cell, SweepConfig
 
 MEAN, SD = 8.0, 4.0
@@ -36,7 +37,7 @@ def own_environment(monkeypatch, tmp_path):
 
 @pytest.fixture
 def few_resamples(monkeypatch):
-    monkeypatch.setattr(fit_operator, "BOOTSTRAP", 40)
+    monkeypatch.setattr(service_fit, "BOOTSTRAP", 40)
 
 
 def sample_of(seconds: ArrayLike, limits: ArrayLike = math.inf, draws: list[int] | None = None):
@@ -143,7 +144,7 @@ def test_the_distance_agrees_with_scipy(few_resamples):
 def test_kaplan_meier_against_hand_computation():
     # 5 services: ends at 1, 2 and 4 (twice); 2 and 3 only at least. At a tie, who ended counts
     # first: 4/5, then 3/4 of it, then 0 of the last.
-    lengths, shares = fit_operator._kaplan_meier(
+    lengths, shares = service_fit.kaplan_meier(
         np.array([4.0, 1.0, 2.0, 2.0, 3.0]), np.array([True, True, True, False, False])
     )
     assert lengths.tolist() == [1.0, 2.0, 3.0, 4.0]
@@ -154,9 +155,9 @@ def test_kaplan_meier_against_hand_computation():
 def test_the_hazard_and_the_survival_far_out(z):
     stats = pytest.importorskip("scipy.stats")
     theirs = stats.norm.logsf(z)
-    assert fit_operator._log_survival(np.array([z]))[0] == pytest.approx(theirs, rel=1e-12)
+    assert service_fit._log_survival(np.array([z]))[0] == pytest.approx(theirs, rel=1e-12)
     hazard = math.exp(stats.norm.logpdf(z) - theirs)
-    assert fit_operator._hazard(np.array([z]))[0] == pytest.approx(hazard, rel=1e-10)
+    assert service_fit._hazard(np.array([z]))[0] == pytest.approx(hazard, rel=1e-10)
 
 
 SAMPLES = st.lists(st.tuples(st.floats(-3.0, 3.0), st.booleans()), min_size=2, max_size=25).filter(
@@ -177,8 +178,8 @@ def sample_from(rows, factor=1.0):
 @given(rows=SAMPLES)
 def test_nothing_near_is_likelier(rows):
     sample = sample_from(rows)
-    seconds, answered = fit_operator._arrays(sample)
-    mu, sigma = fit_operator._maximum(np.log(seconds), answered, np.ones(len(seconds)))
+    seconds, answered = service_fit.arrays(sample)
+    mu, sigma = service_fit._maximum(np.log(seconds), answered, np.ones(len(seconds)))
     best = log_likelihood(sample, mu, sigma)
     for step in (1e-3, 1e-1, 1.0):
         for angle in np.arange(8) * math.pi / 4:
@@ -190,7 +191,7 @@ def test_nothing_near_is_likelier(rows):
 @given(rows=SAMPLES, factor=st.floats(1e-3, 1e3))
 def test_another_unit_of_time_scales_the_fit(rows, factor):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fit_operator, "BOOTSTRAP", 10)
+        patch.setattr(service_fit, "BOOTSTRAP", 10)
         try:
             one, other = fit(sample_from(rows)), fit(sample_from(rows, factor))
         except BadInput:  # a spread without bounds
@@ -307,7 +308,7 @@ def test_services_of_a_fleet(horizon):
     interaction_s = sum(record.interaction_s for record in fleet.records)
     assert math.fsum(s.seconds for s in sample.services) == pytest.approx(interaction_s)
     assert len(sample.services) == sum(record.grants for record in fleet.records)
-    answered = [s for s in sample.services if s.outcome in fit_operator.ANSWERS]
+    answered = [s for s in sample.services if s.outcome in service_fit.ANSWERS]
     assert len(answered) == sum(record.answered for record in fleet.records) > 100
     # An answered one is the draw itself, another one is shorter.
     times = LogNormal(fleet.config.seed, MEAN, SD)
@@ -315,7 +316,7 @@ def test_services_of_a_fleet(horizon):
         assert isinstance(draw, tuple)
         whole = times.seconds(*draw)
         assert whole is not None
-        if outcome_ in fit_operator.ANSWERS:
+        if outcome_ in service_fit.ANSWERS:
             assert seconds == pytest.approx(whole, abs=1e-8)
         else:
             assert seconds <= whole + 1e-8 and outcome_ in ("expired", "censored")
@@ -386,7 +387,7 @@ def run(arguments, capsys):
 
 
 def write_journal(path, events, speed=None):
-    about = {"settings": {} if speed is None else {"speed": speed}, "identity": {}}
+    about = {"settings": {} if speed is None else {"speed": speed}, "identity": {"versions": {}}}
     journal = Journal(path, about)
     journal.append(events)
     journal.close()
@@ -440,7 +441,7 @@ def test_several_logs_are_taken_together_each_in_its_operators_seconds(tmp_path,
     one = write_journal(tmp_path / "one.jsonl", session([4.0, 9.0]))
     two = write_journal(tmp_path / "two.jsonl", session([8.0, 14.0], "go_on"), speed=2.0)
     three = tmp_path / "three.parquet"
-    write_log(three, session([2.5]), {"settings": {"speed": 0.5}, "identity": {}})
+    write_log(three, session([2.5]), {"settings": {"speed": 0.5}, "identity": {"versions": {}}})
     sample = fit_operator.read_services([one, two, three])
     assert [s.seconds for s in sample.services] == [4.0, 9.0, 4.0, 7.0, 5.0]
     assert len({s.draw for s in sample.services}) == 5
@@ -488,7 +489,7 @@ def test_the_figure_shows_the_services_and_the_fit(seconds, tmp_path, capsys):
     axes = fit_operator.figure(sample, fit(sample)).axes[0]
     services, line = axes.lines[0], axes.lines[-1]
     assert np.asarray(services.get_ydata())[0] == 0.0
-    assert np.all(np.diff(np.asarray(line.get_ydata())) >= 0)
+    assert np.all(np.diff(np.asarray(line.get_ydata(), float)) >= 0)
     assert len(axes.lines) == (2 if seconds[0] == 0 else 3)
 
 
