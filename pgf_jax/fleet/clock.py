@@ -44,9 +44,14 @@ class Due(NamedTuple):
 
 
 class Calendar:
-    """What happens when. Each robot (and `FLEET`, `OPERATORS`) has at most one entry: its next."""
+    """What happens when. Each robot (and `FLEET`, `OPERATORS`) has at most one entry: its next.
 
-    def __init__(self) -> None:
+    Attributes:
+      last_ns: the horizon, whole ns, or inf: what comes later does not happen.
+    """
+
+    def __init__(self, last_ns: float) -> None:
+        self.last_ns = last_ns
         self._heap: list[Due] = []
         self._valid: dict[int, int] = {}  # robot -> serial of its entry
         self._serial = 0

@@ -32,7 +32,7 @@ class LogNormal:
     mean_s: float
     sd_s: float
 
-    def seconds(self, robot: int, task: int, request: int) -> float | None:
+    def seconds(self, robot: int, task: int, request: int) -> float:
         """The draw; exp(mu + sigma z) with sigma^2 = ln(1 + (sd/mean)^2)."""
         if self.sd_s == 0:
             return self.mean_s

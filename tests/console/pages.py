@@ -68,7 +68,8 @@ def wait_for(found: Callable[[], Any]) -> Any:
 @contextlib.contextmanager
 def console(out: Path, *options: str) -> Iterator[Server]:
     """A console on any free port, killed in the end."""
-    command = [sys.executable, "-m", "pgf_jax", "console", "--port", "0", "--out", str(out)]
+    port = () if "--port" in options else ("--port", "0")
+    command = [sys.executable, "-m", "pgf_jax", "console", *port, "--out", str(out)]
     process = subprocess.Popen(
         [*command, *options],
         stdout=subprocess.PIPE,
@@ -112,6 +113,7 @@ def visit(chromium: Any, url: str) -> Any:
     # Without a GPU viser says so, in front of the wall.
     notice = page.locator(".mantine-Notification-closeButton")
     notice.first.click(timeout=1e3 * PATIENCE_S)
+    notice.first.wait_for(state="detached", timeout=1e3 * PATIENCE_S)
     return page
 
 
@@ -127,10 +129,13 @@ def click_shelf(page: Any, cell: Cell, place: np.ndarray) -> None:
     box = page.locator("canvas").first.bounding_box()
     units = max(wall.HEIGHT, wall.WIDTH * box["height"] / box["width"]) * MARGIN
     scale = box["height"] / units  # pixels a unit
-    page.mouse.click(
+    place = (
         box["x"] + box["width"] / 2 + scale * (x - wall.WIDTH / 2),
         box["y"] + box["height"] / 2 - scale * (y - wall.HEIGHT / 2),
     )
+    page.mouse.move(*place)
+    page.wait_for_timeout(200)  # a hand is no faster; viser takes a leap for a drag
+    page.mouse.click(*place)
 
 
 def scene_of(robot: int, task: int, seed: int = 0) -> Scene:

@@ -111,3 +111,37 @@ def test_a_person_clicks_an_object_and_a_place_and_the_robot_goes_on_with_that(t
     # What was written as it went is its beginning: the end is in the tables only.
     journal = read_log(tmp_path / "s" / "events.jsonl")
     assert first_difference(log.events, journal.events) is None
+
+
+def test_a_killed_server_goes_on_where_it_was(tmp_path):
+    """What was acknowledged is there; the page, still open, comes back by itself."""
+    options = ("--robots", "2", "--tasks", "1", "--policy", "always")
+    with browser() as chromium:
+        with console(tmp_path / "s", *options) as server:
+            page = visit(chromium, server.url)
+            wait_for_text(page, "Robot 0 asks")
+            page.keyboard.press("g")
+            wait_for_text(page, "Go on reaching.")
+            said = server.events()  # by now it is on the disk
+            server.process.kill()
+            server.process.wait()
+        ends = [event for event in said if event["kind"] == "service_end"]
+        assert [(event["robot"], event["outcome"]) for event in ends] == [(0, "go_on")]
+
+        resume = ("--resume", "--port", str(server.port))
+        with console(tmp_path / "s", *resume) as server:
+            assert server.events()[: len(said)] == said
+            # No server of ours any more, but the page's own address: it connects again.
+            wait_for_text(page, "Robot 1 asks")
+            page.keyboard.press("g")
+            server.wait_for(
+                lambda events: [e for e in events if e["kind"] == "service_end" and e["robot"] == 1]
+            )
+            interrupt(server)
+
+    events = read_log(tmp_path / "s").events
+    answers = [event.robot for event in events if event.outcome == "go_on"]
+    assert answers == [0, 1]
+    config = pgf_jax.SweepConfig(operator="replay", log=tmp_path / "s", out=tmp_path / "r")
+    replayed = pgf_jax.sweep(config, quiet=True).events().drop("policy", "robots")
+    assert replayed.equals(pl.read_parquet(tmp_path / "s" / "events.parquet"))

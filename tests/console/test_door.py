@@ -10,7 +10,8 @@ from pages import Server, console, wait_for
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.http11 import Request
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 
 from pgf_jax.console.door import COOKIE, Bucket, Door
 
@@ -96,7 +97,7 @@ def token(server: Server) -> str:
     return server.url.split("token=")[1].strip()
 
 
-def join(server: Server, cookie: str | None = None, **options) -> ClientConnection:
+def join(server: Server, cookie: str | None = None, **options) -> Connection:
     headers = {} if cookie is None else {"Cookie": f"{COOKIE}={cookie}"}
     return connect(
         f"ws://127.0.0.1:{server.port}",
@@ -113,11 +114,11 @@ def get(server: Server, path: str, **headers) -> http.client.HTTPResponse:
     return connection.getresponse()
 
 
-def say(connection: ClientConnection, kind: str, **content) -> None:
+def say(connection: Connection, kind: str, **content) -> None:
     connection.send(msgspec.msgpack.encode({"type": kind, **content}))
 
 
-def look(connection: ClientConnection) -> None:
+def look(connection: Connection) -> None:
     """What a page says first; viser takes a client for connected from then on."""
     say(
         connection,
@@ -134,7 +135,7 @@ def look(connection: ClientConnection) -> None:
     )
 
 
-def click(connection: ClientConnection, **changes) -> None:
+def click(connection: Connection, **changes) -> None:
     content = {
         "event_type": "click",
         "ray_origin": (6.0, 5.0, 29.0),

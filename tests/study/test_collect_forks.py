@@ -269,7 +269,7 @@ def test_a_killed_collection_resumes_to_the_same_bytes(tmp_path):
     path = runs_path(config.out, Mode.AUTONOMOUS)
     assert not path.exists()
     kept = len(list(parts.glob("part_*.parquet")))
-    assert 1 <= kept < config.scenes
+    assert config.scenes is not None and 1 <= kept < config.scenes
     (parts / ".part_0000099.parquet.1.tmp").write_bytes(b"PAR1")  # killed while writing
     todo = []
     collect(
