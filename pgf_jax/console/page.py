@@ -55,6 +55,7 @@ class Page:
         self._robots, self._live = robots, live
         self._session: Session | None = None
         self._layout = Layout.of(robots, None)
+        self._roles: dict[int, viser.GuiMarkdownHandle] = {}  # what a client is told they may do
         self._buckets: dict[int, Bucket] = {}
         self._flooding: set[int] = set()
         self._lock = threading.Lock()
@@ -105,8 +106,24 @@ class Page:
             status = self._status_of(frame)
             if status != self._status.content:
                 self._status.content = status
+            self._show_roles()
         self._layout = layout
         self.server.flush()
+
+    def _show_roles(self) -> None:
+        session = self._session
+        if session is None or not self._live:
+            return
+        operator = session.desk.operator
+        for client, handle in list(self._roles.items()):
+            if client == operator:
+                role = "You operate."
+            elif operator is None:
+                role = "You watch, and nobody operates: *Operate* to do so."
+            else:
+                role = "You watch, somebody else operates."
+            if handle.content != role:
+                handle.content = role
 
     def _status_of(self, frame: Frame) -> str:
         fleet = frame.fleet
@@ -227,6 +244,7 @@ class Page:
     async def _on_connect(self, client: viser.ClientHandle) -> None:
         log.info("client %d connected", client.client_id)
         _look(client)
+        self._roles[client.client_id] = client.gui.add_markdown("")
         self._seat(client)
 
     def _seat(self, client: viser.ClientHandle) -> None:
@@ -237,6 +255,7 @@ class Page:
     async def _on_disconnect(self, client: viser.ClientHandle) -> None:
         log.info("client %d left", client.client_id)
         with self._lock:
+            self._roles.pop(client.client_id, None)
             self._buckets.pop(client.client_id, None)
             self._flooding.discard(client.client_id)
         if self._session is not None:

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from pgf_jax.errors import BadInput
+from pgf_jax.files import is_folder
 from pgf_jax.guidance.checkpoint import Checkpoint, load_network, shipped_checkpoints
 from pgf_jax.guidance.predictor import Bidder, Direct, Failure, Pair
 
@@ -44,7 +45,7 @@ class Choice:
           BadInput: one line that names the folder or the file.
         """
         folder = self.files()
-        if not folder.is_dir():
+        if not is_folder(folder):
             raise BadInput(f"{folder}: no such folder, expected one with checkpoints")
         checkpoints = tuple(load_network(folder, network) for network in NETWORKS[self.name])
         networks = [checkpoint.predictor for checkpoint in checkpoints]

@@ -28,6 +28,7 @@ import numpy as np
 from flax import serialization
 
 from pgf_jax.errors import BadInput
+from pgf_jax.files import MIB, read_file
 from pgf_jax.guidance.predictor import Predictor
 from pgf_jax.guidance.state import STATE
 from pgf_jax.guidance.tables import write_atomically
@@ -35,6 +36,8 @@ from pgf_jax.guidance.tables import write_atomically
 VERSION = 2
 PAIR = ("phi_auto", "phi_human")  # the paper's
 NETWORKS = (*PAIR, "gain", "failure")
+_WHAT = "a predictor checkpoint (.msgpack)"
+_LARGEST = 64 * MIB  # of a file; those that ship take 0.1
 _FIELDS = {
     "network": str,
     "hidden": list,
@@ -120,9 +123,13 @@ def load(path: Path | str | Traversable) -> Checkpoint:
         with arrays of the wrong shape or type or that are not finite.
     """
     source = Path(path) if isinstance(path, str) else path
-    if not source.is_file():
-        raise BadInput(f"{source}: no such file, expected a predictor checkpoint (.msgpack)")
-    outer = _unpack(source.read_bytes(), str(source))
+    if isinstance(source, Path):
+        data = read_file(source, _WHAT, _LARGEST)
+    elif source.is_file():
+        data = source.read_bytes()  # of a package, perhaps within a zip file
+    else:
+        raise BadInput(f"{source}: no such file, expected {_WHAT}")
+    outer = _unpack(data, str(source))
     version, digest, payload = (outer.get(field) for field in ("version", "sha256", "payload"))
     # Types before values: a foreign file may hold arrays here, which do not compare to a bool.
     if type(version) is not int:

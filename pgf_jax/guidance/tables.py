@@ -10,8 +10,11 @@ from typing import Any
 import polars as pl
 
 from pgf_jax.errors import BadInput
+from pgf_jax.files import MIB, parse_json, read_file
+from pgf_jax.guidance.decoder import Undecodable, decode
 
 PROVENANCE = "pgf_jax"  # key of the settings in a file's metadata
+LARGEST = 512 * MIB  # of a table's file; a sweep of 1000 robots takes some 100
 
 
 def write_table(path: Path | str, frame: pl.DataFrame, about: Mapping[str, Any] | None) -> None:
@@ -42,15 +45,22 @@ def read_table(path: Path | str, schema: Mapping[str, pl.DataType], what: str) -
     Raises:
       BadInput: the file is missing, not a whole Parquet file, empty, or lacks a column.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise BadInput(f"{path}: no such file, expected {what} (Parquet)")
+    data = read_file(path, f"{what} (Parquet)", LARGEST)
+    return check_columns(decode_table(data, path)[0], schema, str(path))
+
+
+def decode_table(data: bytes, path: Path | str) -> tuple[pl.DataFrame, dict[str, str]]:
+    """The table of a file's bytes and its metadata.
+
+    Raises:
+      BadInput: one line that names the file: truncated, corrupt, or no Parquet file at all.
+    """
     try:
-        frame = pl.read_parquet(io.BytesIO(path.read_bytes()))
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise BadInput(f"{path}: not a readable Parquet file ({reason})") from error
-    return check_columns(frame, schema, str(path))
+        return decode(data)
+    except Undecodable as error:
+        raise BadInput(
+            f"{path}: truncated or corrupt, not a readable Parquet file ({error})"
+        ) from None
 
 
 def read_provenance(path: Path | str) -> dict[str, Any]:
@@ -59,10 +69,18 @@ def read_provenance(path: Path | str) -> dict[str, Any]:
     Raises:
       BadInput: the file does not say.
     """
+    data = read_file(path, "a table (Parquet)", LARGEST)
+    return provenance(decode_table(data, path)[1], path)
+
+
+def provenance(metadata: Mapping[str, str], path: Path | str) -> dict[str, Any]:
+    """`read_provenance` of metadata as `decode_table` returns it."""
     try:
-        about = json.loads(pl.read_parquet_metadata(path)[PROVENANCE])
-    except (KeyError, ValueError, pl.exceptions.PolarsError) as error:
-        raise BadInput(f"{path}: does not say where it comes from") from error
+        about = parse_json(metadata.get(PROVENANCE, ""))
+    except ValueError:
+        about = None
+    if not isinstance(about, dict):
+        raise BadInput(f"{path}: does not say where it comes from")
     return about
 
 
@@ -101,5 +119,6 @@ def write_atomically(path: Path | str, data: bytes) -> None:
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be written ({error.strerror})") from error
+    except (OSError, ValueError) as error:  # a name that no file can have is a ValueError
+        reason = getattr(error, "strerror", None) or error
+        raise BadInput(f"{path}: cannot be written ({reason})") from error

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Literal
 
 from pgf_jax.errors import BadInput
+from pgf_jax.settings import check_fields
 
 Loss = Literal["rmse", "mae", "logistic"]
 
@@ -40,6 +41,7 @@ class TrainConfig:
     loss: Loss = "rmse"
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("restarts", "members", "batch", "max_epochs", "patience"):
             if getattr(self, name) < 1:
                 raise BadInput(f"{name} must be at least 1, got {getattr(self, name)}")

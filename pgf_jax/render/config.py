@@ -8,6 +8,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from pgf_jax.errors import BadInput
+from pgf_jax.settings import check_fields
 from pgf_jax.study.checks import at_least, one_of, whole
 
 SUFFIXES = (".png", ".mp4")
@@ -47,10 +48,9 @@ class RenderConfig:
     size: tuple[int, int] = (1280, 800)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         one_of("what", self.what, ["plan", "task", "fleet"])
         one_of("view", self.view, ["top", "3d"])
-        for name in ("file", "out"):
-            object.__setattr__(self, name, Path(getattr(self, name)))
         if self.out.suffix.lower() not in SUFFIXES:
             raise BadInput(f"out: expected a file {' or '.join(SUFFIXES)}, got {str(self.out)!r}")
         for name in ("robot", "task"):

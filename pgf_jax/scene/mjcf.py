@@ -2,9 +2,9 @@
 
 A scene file holds its objects as bodies `object_1`, `object_2`, ... of the worldbody, each one
 upright cylinder on a free joint, and draws shelf and robot from includes. Only the objects are
-read: the shelf and the robot are the planar model's own, so the includes need not be there. What a
-file leaves out (mass, friction, the joint's damping) is taken to be the published objects'; what
-it says otherwise is refused, because the planar model would not simulate it.
+read: the shelf and the robot are the planar model's own, so no include is opened, and none need be
+there. What a file leaves out (mass, friction, the joint's damping) is taken to be the published
+objects'; what it says otherwise is refused, because the planar model would not simulate it.
 """
 
 import math
@@ -15,12 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from pgf_jax.errors import BadInput
+from pgf_jax.files import MIB, is_folder, read_file
 from pgf_jax.scene.scene import HEIGHT, RADIUS, Scene
 
 GOAL_BODY = "object_3"
 
 # Of MJCF's ways to turn a body only `quat` is read: the published files use no other.
 _OTHER_ORIENTATIONS = ("axisangle", "euler", "xyaxes", "zaxis")
+_WHAT = "a scene file (MJCF)"
+_LARGEST = 4 * MIB  # of a file; the published ones take 10 kB
 _MAX_TILT = math.radians(1.0)
 _MAX_HEIGHT_SPREAD = HEIGHT / 4  # the published objects' z agree to 0.1 mm
 _WORLD_CHILDREN = ("body", "include", "light", "camera", "site")
@@ -52,8 +55,9 @@ def load_scene(path: str | Path) -> Scene:
     Source: https://github.com/rpapallas/PGF, models/warehouse_N.xml.
     """
     path = Path(path)
+    content = read_file(path, _WHAT, _LARGEST)
     try:
-        return _read(path)
+        return _read(content, path.stem)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
 
@@ -65,7 +69,7 @@ def load_scenes(directory: str | Path) -> list[Scene]:
       BadInput: no such directory, no scene file in it, or a file that `load_scene` refuses.
     """
     directory = Path(directory)
-    if not directory.is_dir():
+    if not is_folder(directory):
         raise BadInput(f"{directory}: expected a directory of scene files (*.xml), found none")
     paths = sorted((p for p in directory.glob("*.xml") if p.is_file()), key=_natural)
     if not paths:
@@ -75,12 +79,12 @@ def load_scenes(directory: str | Path) -> list[Scene]:
 
 def _natural(path: Path) -> list[tuple[int, str]]:
     """Sort key that reads the digits in a name as numbers."""
-    parts = re.split(r"([0-9]+)", path.name)
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
+    parts = re.split(r"([0-9]+)", path.name)  # every other one is a number
+    return [(int(part), "") if i % 2 else (-1, part) for i, part in enumerate(parts)]
 
 
-def _read(path: Path) -> Scene:
-    bodies = _object_bodies(_parse(path))
+def _read(content: bytes, name: str) -> Scene:
+    bodies = _object_bodies(_parse(content))
     numbers = sorted(bodies)
     for expected, number in enumerate(numbers, start=1):
         if number != expected:
@@ -104,21 +108,15 @@ def _read(path: Path) -> Scene:
     for number in numbers:
         _check_object(bodies[number], f"object_{number}")
     positions[:, 2] = RADIUS
-    return Scene(path.stem, positions, goal - 1)
+    return Scene(name, positions, goal - 1)
 
 
-def _parse(path: Path) -> ET.Element:
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise BadInput("no such file; expected a scene file (MJCF)") from None
-    except OSError as error:
-        raise BadInput(f"cannot be read ({error.strerror}); expected a scene file (MJCF)") from None
+def _parse(content: bytes) -> ET.Element:
     try:
         root = ET.fromstring(content)
     # Besides its own error, the parser lets those of the text decoding through.
     except (ET.ParseError, ValueError, LookupError) as error:
-        raise BadInput(f"not well-formed XML ({error}); expected a scene file (MJCF)") from None
+        raise BadInput(f"not well-formed XML ({error}); expected {_WHAT}") from None
     if root.tag != "mujoco":
         raise BadInput(f"root element is <{root.tag}>; expected <mujoco>")
     return root

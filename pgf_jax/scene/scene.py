@@ -5,7 +5,7 @@ import operator
 
 import numpy as np
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, shown
 
 # The shelf and its objects, as measured on the published scenes. Metres; x into the shelf, y left.
 FRONT_X = 0.20  # the table's front edge: a centre before it would stand on air
@@ -15,6 +15,7 @@ RADIUS = 0.03
 HEIGHT = 0.10
 # The published scenes hold pairs whose centres are 0.060 m apart to within rounding.
 OVERLAP_TOLERANCE = 5e-4
+MOST_OBJECTS = 120  # packed as hexagons 108 find room
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -37,16 +38,16 @@ class Scene:
     def __post_init__(self) -> None:
         try:
             objects = np.array(self.objects, dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):  # of a whole number of hundreds of digits
             raise BadInput(
                 f"scene {self.name}: objects must be numbers [N, 3] (x, y, radius), "
-                f"got {_short(self.objects)}"
+                f"got {shown(self.objects)}"
             ) from None
         try:
             goal = operator.index(self.goal)
         except TypeError:
             raise BadInput(
-                f"scene {self.name}: goal index must be a whole number, got {_short(self.goal)}"
+                f"scene {self.name}: goal index must be a whole number, got {shown(self.goal)}"
             ) from None
         objects.setflags(write=False)
         object.__setattr__(self, "goal", goal)
@@ -65,6 +66,11 @@ def validate(scene: Scene) -> None:
     if objects.ndim != 2 or objects.shape[1:] != (3,) or len(objects) == 0:
         raise BadInput(
             f"scene {name}: objects must be [N, 3] (x, y, radius), got shape {objects.shape}"
+        )
+    if len(objects) > MOST_OBJECTS:
+        raise BadInput(
+            f"scene {name}: has {len(objects)} objects; expected at most {MOST_OBJECTS}, "
+            f"more find no room on the shelf"
         )
     bad = np.flatnonzero(~np.isfinite(objects).all(axis=1))
     if len(bad):
@@ -103,12 +109,6 @@ def validate(scene: Scene) -> None:
             f"scene {name}: object_{i + 1} and object_{j + 1} overlap by "
             f"{-1e3 * gap[i, j]:.1f} mm; expected centres at least {r[i] + r[j]:g} m apart"
         )
-
-
-def _short(value: object) -> str:
-    """One line of at most 60 characters for an error message."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def class_of(scene: Scene) -> str:

@@ -6,7 +6,7 @@ They are ordinary policies (`fleet.policies`), registered under names that carry
 import dataclasses
 import math
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, shown
 from pgf_jax.fleet.policies import (
     Discipline,
     Policy,
@@ -65,6 +65,7 @@ def check_ask(text: str) -> int:
         return 0
     name, _, number = str(text).partition(":")
     # isdecimal alone lets other scripts' digits through; int() would take '1_0' and ' 3'.
-    if name == "after" and number.isascii() and number.isdecimal():
+    # More digits would not be read as a number, nor be reached.
+    if name == "after" and number.isascii() and number.isdecimal() and len(number) < 19:
         return int(number)
-    raise BadInput(f"ask: expected stuck, gain, never or after:N with N >= 0, got {text!r}")
+    raise BadInput(f"ask: expected stuck, gain, never or after:N with N >= 0, got {shown(text)}")

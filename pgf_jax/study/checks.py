@@ -1,8 +1,9 @@
 """Checks of settings, each with its one line of BadInput."""
 
+import sys
 from typing import Literal, Protocol
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, shown
 from pgf_jax.guidance.operators import operator_names
 from pgf_jax.physics.engine import engine_names
 
@@ -54,8 +55,8 @@ def check_operator(name: str) -> None:
 
 def one_of(name: str, value: object, choices: list[str]) -> None:
     """BadInput unless `value` is one of `choices`."""
-    if value not in choices:
-        raise BadInput(f"{name}: expected one of {', '.join(choices)}, got {value!r}")
+    if not isinstance(value, str) or value not in choices:
+        raise BadInput(f"{name}: expected one of {', '.join(choices)}, got {shown(value)}")
 
 
 def whole(name: str, value: object, least: int, most: int | None = None) -> None:
@@ -67,10 +68,13 @@ def whole(name: str, value: object, least: int, most: int | None = None) -> None
         or (most is not None and value > most)
     ):
         bounds = f"{least} or more" if most is None else f"within {least}..{most}"
-        raise BadInput(f"{name}: expected a whole number {bounds}, got {value!r}")
+        raise BadInput(f"{name}: expected a whole number {bounds}, got {shown(value)}")
 
 
 def at_least(name: str, value: float, least: float) -> None:
     """BadInput unless `value` is a finite number of seconds, `least` or more."""
-    if not isinstance(value, int | float) or not least <= value < float("inf"):
-        raise BadInput(f"{name}: expected a number of seconds, {least:g} or more, got {value!r}")
+    # A whole number may be too large for what it is used as.
+    if not isinstance(value, int | float) or not least <= value <= sys.float_info.max:
+        raise BadInput(
+            f"{name}: expected a number of seconds, {least:g} or more, got {shown(value)}"
+        )

@@ -25,10 +25,12 @@ from typing import Any
 import polars as pl
 
 from pgf_jax.errors import BadInput
+from pgf_jax.files import MIB, parse_json, read_file
 from pgf_jax.guidance.forks import read_forks, write_forks
 from pgf_jax.guidance.runs import RUN, Mode, read_runs, runs_path, write_runs
 from pgf_jax.guidance.tables import read_provenance, write_atomically
 from pgf_jax.study import collect_run
+from pgf_jax.study.checks import MAX_SEED
 from pgf_jax.study.collect_config import CollectConfig
 from pgf_jax.study.collect_run import PARTS
 from pgf_jax.study.collect_sessions import replay_sessions
@@ -184,8 +186,8 @@ def _provenance(config: CollectConfig) -> dict[str, Any]:
 
 def _read_settings(path: Path) -> dict[str, Any]:
     try:
-        settings = json.loads(path.read_bytes())
-    except (OSError, ValueError):
+        settings = parse_json(read_file(path, "settings", MIB))
+    except ValueError:  # a BadInput is one, too
         settings = None
     if not isinstance(settings, dict) or type(settings.get("scenes")) is not int:
         raise BadInput(f"{path}: not readable; expected the settings of the runs to resume")
@@ -199,7 +201,12 @@ def _files(path: Path) -> list[Path]:
 def _scenes_in(file: Path) -> set[int]:
     """Numbers of the scenes that a file holds, those that gave no rows included."""
     about = read_provenance(file)
-    return set(about["indices"] if "indices" in about else range(about["scenes"]))
+    indices, scenes = about.get("indices"), about.get("scenes")
+    if isinstance(indices, list) and all(type(i) is int for i in indices):
+        return set(indices)
+    if type(scenes) is not int or not 0 <= scenes <= MAX_SEED:
+        raise BadInput(f"{file}: does not say which scenes it holds")
+    return set(range(scenes))
 
 
 def _read_all(config: CollectConfig, files: list[Path]) -> pl.DataFrame | None:

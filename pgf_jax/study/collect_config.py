@@ -7,6 +7,7 @@ from typing import Literal
 import tyro
 
 from pgf_jax.errors import BadInput
+from pgf_jax.settings import check_fields
 from pgf_jax.study.checks import (
     MAX_SEED,
     at_least,
@@ -76,6 +77,7 @@ class CollectConfig:
     resume: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
         one_of("mode", self.mode, ["autonomous", "human", "forks"])
         if self.log:
             self._check_log()

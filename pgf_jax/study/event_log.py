@@ -18,15 +18,22 @@ from typing import Any
 
 import polars as pl
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, shown
+from pgf_jax.files import MIB, is_file, is_folder, open_file, parse_json, read_file
 from pgf_jax.fleet.events import Event, EventKind
-from pgf_jax.guidance.tables import read_provenance, write_atomically, write_table
+from pgf_jax.guidance.tables import (
+    LARGEST,
+    decode_table,
+    provenance,
+    write_atomically,
+    write_table,
+)
 from pgf_jax.study.results import (
     EVENT_SCHEMA,
     MERGED_EVENT_SCHEMA,
+    conform,
     event_log,
     events_frame,
-    read_results,
     sha256,
 )
 
@@ -34,6 +41,8 @@ JOURNAL, TABLE = "events.jsonl", "events.parquet"
 FORMAT = 1
 _KIND = "pgf_jax session"
 _HEADER = 1 << 20  # bytes, more than any header takes
+_JOURNAL_MOST = 256 * MIB  # 30 robots with 50 tasks each write some 20
+_WHAT = "an event log"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -81,19 +90,19 @@ def read_log(path: Path | str) -> EventLog:
         was cut off is left out: a killed session's log is a log.
     """
     path = Path(path)
-    if path.is_dir():
+    if is_folder(path):
         # A session that goes on has no table; one that has ended has the end in the table only.
-        found = [path / name for name in (TABLE, JOURNAL) if (path / name).is_file()]
+        found = [path / name for name in (TABLE, JOURNAL) if is_file(path / name)]
         if not found:
             raise BadInput(f"{path}: expected a folder with {TABLE} or {JOURNAL}")
         path = found[0]
     if path.suffix == ".jsonl":
         return _read_journal(path)
-    frame = _read_table(path)
+    frame, metadata = _read_table(path)
     about = {}
     if "policy" not in frame.columns:
         fleets = [event_log(frame)]
-        about = _provenance(path)
+        about = _provenance(metadata, path)
     else:
         parts = frame.partition_by("policy", "robots", maintain_order=True)
         fleets = [event_log(part.select(list(EVENT_SCHEMA))) for part in parts]
@@ -137,11 +146,11 @@ def line(event: Event) -> str:
 
 def _event(columns: Any, where: str) -> Event:
     if not isinstance(columns, dict):
-        raise BadInput(f"{where}: expected an event (a JSON object), got {_short(columns)}")
+        raise BadInput(f"{where}: expected an event (a JSON object), got {shown(columns)}")
     columns = dict(columns)
     for name in columns:
         if name not in Event._fields:
-            raise BadInput(f"{where}: {_short(name)} is no column of an event")
+            raise BadInput(f"{where}: {shown(name)} is no column of an event")
     if columns.get("gain") == "inf":
         columns["gain"] = math.inf
     for name in ("gain", "x", "y"):
@@ -151,11 +160,11 @@ def _event(columns: Any, where: str) -> Event:
         if name not in columns:
             raise BadInput(f"{where}: expected an event with {name}, got none")
     if not isinstance(columns["kind"], str) or columns["kind"] not in set(EventKind):
-        raise BadInput(f"{where}: unknown kind of event {_short(columns['kind'])}")
+        raise BadInput(f"{where}: unknown kind of event {shown(columns['kind'])}")
     for name, value in columns.items():
         wanted = {pl.Int64(): int, pl.Float64(): float, pl.String(): str}[EVENT_SCHEMA[name]]
         if type(value) is not wanted:
-            raise BadInput(f"{where}: {name} must be {EVENT_SCHEMA[name]}, got {_short(value)}")
+            raise BadInput(f"{where}: {name} must be {EVENT_SCHEMA[name]}, got {shown(value)}")
     return Event(**(columns | {"kind": EventKind(columns["kind"])}))
 
 
@@ -181,7 +190,7 @@ def _read_journal(path: Path) -> EventLog:
     events: list[Event] = []
     size = 0
     try:
-        with path.open("rb") as file:
+        with open_file(path, _WHAT, _JOURNAL_MOST) as file:
             for number, text in enumerate(iter(lambda: file.readline(_HEADER), b"")):
                 where = f"{path}: line {number + 1}"
                 if not text.endswith(b"\n"):
@@ -197,26 +206,24 @@ def _read_journal(path: Path) -> EventLog:
                     events.append(event)
                 size += len(text)
     except OSError as error:
-        raise BadInput(
-            f"{path}: cannot be read ({error.strerror}), expected an event log"
-        ) from None
+        raise BadInput(f"{path}: cannot be read ({error.strerror}), expected {_WHAT}") from None
     if not about:
-        raise BadInput(f"{path}: is empty, expected an event log")
+        raise BadInput(f"{path}: is empty, expected {_WHAT}")
     return EventLog(path, [events], about, size)
 
 
 def _json(text: bytes, where: str) -> Any:
     try:
-        return json.loads(text)
-    except (ValueError, RecursionError):
-        raise BadInput(f"{where}: expected JSON, got {_short(text)}") from None
+        return parse_json(text)
+    except ValueError:
+        raise BadInput(f"{where}: expected JSON, got {shown(text)}") from None
 
 
 def _header(content: Any, where: str) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("what") != _KIND:
-        raise BadInput(f"{where}: expected the head of an event log, got {_short(content)}")
+        raise BadInput(f"{where}: expected the head of an event log, got {shown(content)}")
     if content.get("format") != FORMAT:
-        raise BadInput(f"{where}: format {_short(content.get('format'))}, expected {FORMAT}")
+        raise BadInput(f"{where}: format {shown(content.get('format'))}, expected {FORMAT}")
     return _checked(content, where)
 
 
@@ -230,33 +237,18 @@ def _checked(about: dict[str, Any], where: str) -> dict[str, Any]:
     return about
 
 
-def _read_table(path: Path) -> pl.DataFrame:
-    merged = False
-    # What is wrong with a file is said better below.
-    with contextlib.suppress(pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError):
-        merged = "policy" in pl.read_parquet_schema(path)
-    frame = read_results(path, MERGED_EVENT_SCHEMA if merged else EVENT_SCHEMA)
-    unknown = set(frame["kind"].unique()) - set(EventKind)
-    if unknown:
-        raise BadInput(f"{path}: unknown kind of event {_short(sorted(map(str, unknown))[0])}")
-    if frame["time_ns"].null_count():
-        raise BadInput(f"{path}: time_ns is missing in {frame['time_ns'].null_count()} rows")
-    return frame
+def _read_table(path: Path) -> tuple[pl.DataFrame, Mapping[str, str]]:
+    frame, metadata = decode_table(read_file(path, _WHAT, LARGEST), path)
+    schema = MERGED_EVENT_SCHEMA if "policy" in frame.columns else EVENT_SCHEMA
+    return conform(frame, path, schema), metadata
 
 
-def _provenance(path: Path) -> Mapping[str, Any]:
+def _provenance(metadata: Mapping[str, str], path: Path) -> Mapping[str, Any]:
     try:
-        about = read_provenance(path)
+        about = provenance(metadata, path)
     except BadInput:  # a cell of a sweep does not say
         return {}
-    if not isinstance(about, dict) or "settings" not in about:
-        return {}
-    return _checked(about, str(path))
-
-
-def _short(value: object) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else text[:57] + "..."
+    return _checked(about, str(path)) if "settings" in about else {}
 
 
 # -- the journal ---------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, shown
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.study.fit_operator_config import FitOperatorConfig
 from pgf_jax.study.service_fit import (
@@ -78,8 +78,8 @@ def read_services(paths: Iterable[Path]) -> ServiceSample:
             raise BadInput(f"{path}: given twice, its services would count twice")
         files.append(path)
         speed = log.settings.get("speed", 1) if isinstance(log.settings, dict) else 1
-        if not _is_number(speed) or not 0 < speed < math.inf:
-            raise BadInput(f"{path}: speed: expected a positive number, got {speed!r}")
+        if not _is_number(speed) or not 0 < speed <= sys.float_info.max:
+            raise BadInput(f"{path}: speed: expected a positive number, got {shown(speed)}")
         for events in log.fleets:
             try:
                 sample = service_times(events)

@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from pgf_jax.errors import BadInput
+from pgf_jax.settings import check_fields
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,6 +22,7 @@ class FitOperatorConfig:
     json: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not self.log:
             raise BadInput("log: expected one or more event logs, got none")
         if self.out is not None and self.out.suffix.lower() != ".png":

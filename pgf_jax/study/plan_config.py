@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from pgf_jax.errors import BadInput
+from pgf_jax.settings import check_fields
 from pgf_jax.study.asks import after, check_ask
 from pgf_jax.study.checks import MAX_SEED, at_least, check_operator, check_planning, one_of, whole
 
@@ -47,7 +48,7 @@ class PlanConfig:
     task_limit: float = 180.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "predictor", str(self.predictor))  # a folder may be a Path
+        check_fields(self)
         check_planning(self)
         check_operator(self.operator)
         check_ask(self.ask)
@@ -89,6 +90,7 @@ class PlanCommand:
     )
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if bool(self.scene) == (self.preset is not None):
             got = "both" if self.scene else "neither"
             raise BadInput(f"--scene, --preset: expected one of the two, got {got}")

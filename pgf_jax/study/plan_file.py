@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, shown
+from pgf_jax.files import MIB, parse_json, read_file
 from pgf_jax.guidance.tables import write_atomically
 from pgf_jax.planning.types import Status
 from pgf_jax.scene.scene import Scene
@@ -20,6 +21,7 @@ from pgf_jax.study.crew import Segment
 
 TERMS = ("c_d", "c_f", "c_b", "c_e", "c_s")
 SUFFIX = ".plan.json"
+_LARGEST = 16 * MIB  # of a file; a plan takes some 100 kB
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,7 +112,13 @@ _PLAIN = (*_TEXTS, *_COUNTS, *_TIMES)
 
 
 def plan_path(folder: Path | str, scene: str) -> Path:
-    """Where the plan of a scene lies in a folder."""
+    """Where the plan of a scene lies in a folder.
+
+    Raises:
+      BadInput: the scene's name would lead elsewhere.
+    """
+    if scene in ("", ".", "..") or "/" in scene or "\0" in scene:
+        raise BadInput(f"scene: expected a name that a file can have, got {shown(scene)}")
     return Path(folder) / f"{scene}{SUFFIX}"
 
 
@@ -133,11 +141,10 @@ def load_plan(path: Path | str) -> Plan:
         wrong.
     """
     path = Path(path)
-    if not path.is_file():
-        raise BadInput(f"{path}: no such file, expected a plan ({SUFFIX})")
+    data = read_file(path, f"a plan ({SUFFIX})", _LARGEST)
     try:
-        content = json.loads(path.read_bytes())
-    except (ValueError, OSError) as error:
+        content = parse_json(data)
+    except ValueError as error:
         raise BadInput(f"{path}: truncated or malformed, not a plan ({SUFFIX})") from error
     try:
         return _from_json(content)
@@ -147,7 +154,8 @@ def load_plan(path: Path | str) -> Plan:
 
 def _from_json(content: Any) -> Plan:
     if not isinstance(content, dict):
-        raise BadInput(f"expected a mapping of a plan's fields, got {_short(content)}")
+        raise BadInput(f"expected a mapping of a plan's fields, got {shown(content)}")
+    plan_path("", _get(content, "scene", str))  # it names the file that this is written to again
     status = _get(content, "status", str)
     if status not in list(Status):
         raise BadInput(f"status: expected one of {', '.join(Status)}, got {status!r}")
@@ -157,7 +165,7 @@ def _from_json(content: Any) -> Plan:
         if plain[field] < 0:
             raise BadInput(f"{field}: expected 0 or more, got {plain[field]}")
     for field in _TIMES:
-        plain[field] = float(_get(content, field, int | float))
+        plain[field] = _seconds(content, field)
         if not 0.0 <= plain[field] < math.inf:
             raise BadInput(f"{field}: expected seconds, 0 or more, got {plain[field]}")
     scene = Scene(
@@ -172,12 +180,12 @@ def _from_json(content: Any) -> Plan:
         raise BadInput(f"segments: expected {plain['pushes']} pushes and a reach, got {kinds}")
     cost = _get(content, "cost", dict)
     if set(cost) != {*TERMS, "total"}:
-        raise BadInput(f"cost: expected {', '.join(TERMS)} and total, got {_short(list(cost))}")
+        raise BadInput(f"cost: expected {', '.join(TERMS)} and total, got {shown(list(cost))}")
     values = _numbers(list(cost.values()), (len(cost),), "cost", null=True)
     history = _get(content, "history", list)
     starts = _get(content, "history_starts", list)
     if not all(type(start) is int and 0 <= start < len(history) for start in starts):
-        raise BadInput(f"history_starts: expected rows of history, got {_short(starts)}")
+        raise BadInput(f"history_starts: expected rows of history, got {shown(starts)}")
     return Plan(
         scene=scene,
         status=Status(status),
@@ -191,11 +199,11 @@ def _from_json(content: Any) -> Plan:
 
 def _segment(segment: Any, name: str) -> Segment:
     if not isinstance(segment, dict):
-        raise BadInput(f"{name}: expected a mapping, got {_short(segment)}")
+        raise BadInput(f"{name}: expected a mapping, got {shown(segment)}")
     kind = _get(segment, "kind", str, name)
     if kind not in ("push", "reach"):
         raise BadInput(f"{name} kind: expected push or reach, got {kind!r}")
-    duration = float(_get(segment, "duration_s", int | float, name))
+    duration = _seconds(segment, "duration_s", name)
     if not 0.0 < duration < math.inf:
         raise BadInput(f"{name} duration_s: expected a positive number, got {duration}")
     controls = _get(segment, "controls", list, name)
@@ -221,8 +229,16 @@ def _get(content: dict[str, Any], field: str, kind: Any, within: str = "") -> An
     value = content[field]
     if not isinstance(value, kind) or isinstance(value, bool):
         expected = getattr(kind, "__name__", str(kind))
-        raise BadInput(f"{name}: expected {expected}, got {_short(value)}")
+        raise BadInput(f"{name}: expected {expected}, got {shown(value)}")
     return value
+
+
+def _seconds(content: dict[str, Any], field: str, within: str = "") -> float:
+    value = _get(content, field, int | float, within)
+    try:
+        return float(value)
+    except OverflowError:  # a whole number of hundreds of digits
+        return math.inf
 
 
 def _numbers(values: list, shape: tuple[int, ...], name: str, *, null: bool) -> np.ndarray:
@@ -230,8 +246,8 @@ def _numbers(values: list, shape: tuple[int, ...], name: str, *, null: bool) -> 
     try:
         # numpy reads a null as nan; an empty list has lost the axes after its first.
         array = np.array(values, dtype=np.float64) if values else np.empty(shape)
-    except (TypeError, ValueError):
-        raise BadInput(f"{name}: expected numbers {list(shape)}, got {_short(values)}") from None
+    except (TypeError, ValueError, OverflowError):  # a whole number may be too large for a float
+        raise BadInput(f"{name}: expected numbers {list(shape)}, got {shown(values)}") from None
     if array.shape != shape:
         raise BadInput(f"{name}: expected shape {list(shape)}, got {list(array.shape)}")
     if not null and not np.isfinite(array).all():
@@ -241,8 +257,3 @@ def _numbers(values: list, shape: tuple[int, ...], name: str, *, null: bool) -> 
 
 def _or_null(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _short(value: object) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else text[:57] + "..."

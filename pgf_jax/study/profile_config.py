@@ -3,6 +3,7 @@
 import dataclasses
 
 from pgf_jax.physics.engine import engine_names
+from pgf_jax.settings import check_fields
 from pgf_jax.study.checks import one_of, whole
 
 
@@ -32,6 +33,7 @@ class ProfileConfig:
     json: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for engine in self.engines:
             one_of("engines", engine, engine_names())
         for lanes in self.lanes:

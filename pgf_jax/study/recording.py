@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, shown
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.fleet.simulator import Attendance
 from pgf_jax.guidance.operators import At, View
@@ -171,7 +171,8 @@ def agreed(
             raise BadInput(f"{path}: its settings lack {name}")
         if value != defaults[name] and value != recorded[name]:
             raise BadInput(
-                f"{name}: {value!r}, but {path} was recorded with {recorded[name]!r}; leave it out"
+                f"{name}: {shown(value)}, but {path} was recorded with {shown(recorded[name])}; "
+                "leave it out"
             )
     return {name: recorded[name] for name in ours}
 

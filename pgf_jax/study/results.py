@@ -17,11 +17,12 @@ from typing import Any
 
 import polars as pl
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, shown
+from pgf_jax.files import MIB, parse_json, read_file
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.fleet.metrics import CellSummary, Interval, paired_difference
 from pgf_jax.fleet.records import TaskRecord
-from pgf_jax.guidance.tables import write_atomically
+from pgf_jax.guidance.tables import LARGEST, decode_table, write_atomically
 from pgf_jax.planning.types import Status
 from pgf_jax.study.sweep_config import Cell
 
@@ -66,6 +67,8 @@ MERGED_EVENT_SCHEMA = _CELL_COLUMNS | EVENT_SCHEMA
 _TERMS = ("c_d", "c_f", "c_b")
 _COUNTS = ("grants_at", "successful_grants_at")
 _COSTS = ("asked_cost", "helped_cost")
+_OPTIONAL = {"first_bid", "first_grant", "cost", *_TERMS}
+_LARGEST_JSON = 16 * MIB
 
 
 # -- rows --------------------------------------------------------------------------------------
@@ -250,28 +253,41 @@ def read_results(path: Path | str, schema: Mapping[str, pl.DataType]) -> pl.Data
       BadInput: one line that names the file: missing, truncated, corrupt, or of other columns.
     """
     path = Path(path)
-    return _decode(_read(path), path, schema)
+    return _decode(_read(path, LARGEST), path, schema)
 
 
-def _read(path: Path) -> bytes:
-    if not path.is_file():
-        raise BadInput(f"{path}: no such file, expected results of a sweep")
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror})") from error
+def _read(path: Path, most: int) -> bytes:
+    return read_file(path, "results of a sweep", most)
 
 
 def _decode(data: bytes, path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
-    try:
-        frame = pl.read_parquet(io.BytesIO(data))
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise BadInput(f"{path}: truncated or corrupt, not a Parquet file ({reason})") from error
+    return conform(decode_table(data, path)[0], path, schema)
+
+
+def conform(frame: pl.DataFrame, path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
+    """The schema's columns of a table, in its order.
+
+    Raises:
+      BadInput: one line that names the file, and the column: not there, of another type, or with
+        what does not make a row.
+    """
     for column, dtype in schema.items():
         if frame.schema.get(column) != dtype:
             found = frame.schema.get(column, "nothing")
             raise BadInput(f"{path}: column {column} must be {dtype}, got {found}")
+    # A record has no place for a null but in these; an event has, but in its time and kind.
+    needed = ("time_ns", "kind", *_CELL_COLUMNS) if "kind" in schema else set(schema) - _OPTIONAL
+    for column in schema:
+        nulls = frame[column].null_count()
+        if column in _COUNTS:
+            nulls += frame[column].list.eval(pl.element().is_null()).list.any().sum()
+        if nulls and column in needed:
+            raise BadInput(f"{path}: {column} is missing in {nulls} rows")
+    for column, kinds in (("kind", EventKind), ("status", Status)):
+        unknown = set(frame[column].unique()) - set(kinds) if column in schema else ()
+        if unknown:
+            what = "kind of event" if column == "kind" else column
+            raise BadInput(f"{path}: unknown {what} {shown(min(unknown))}")
     return frame.select(list(schema))
 
 
@@ -281,9 +297,9 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
       BadInput: one line that names the file: missing, truncated, corrupt or not an object.
     """
-    data = _read(path)  # its BadInput is a ValueError too
+    data = _read(path, _LARGEST_JSON)  # its BadInput is a ValueError too
     try:
-        content = json.loads(data)
+        content = parse_json(data)
     except ValueError as error:
         raise BadInput(f"{path}: truncated or corrupt, not JSON ({error})") from error
     if not isinstance(content, dict):
@@ -340,7 +356,7 @@ def read_cell(out: Path, cell: Cell) -> tuple[pl.DataFrame, pl.DataFrame]:
     digests = read_json(folder / CELL_RECORD).get("files")
     frames = []
     for name, schema in CELL_FILES.items():
-        data = _read(folder / name)
+        data = _read(folder / name, LARGEST)
         if not isinstance(digests, dict) or sha256(data) != digests.get(name):
             raise BadInput(
                 f"{folder / name}: truncated or corrupt, its digest is not the one in "

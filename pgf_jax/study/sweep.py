@@ -10,7 +10,7 @@ from typing import Any
 import polars as pl
 from rich.console import Console
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, shown
 from pgf_jax.fleet.metrics import CellSummary, summarise
 from pgf_jax.guidance.tables import write_atomically
 from pgf_jax.study import results
@@ -255,7 +255,7 @@ def _differences(theirs: Any, ours: Mapping[str, Any]) -> str:
 
 
 def _short(value: object) -> str:
-    text = str(value)
+    text = value if isinstance(value, str) else shown(value, 40)
     return text if len(text) <= 40 else text[:37] + "..."
 
 

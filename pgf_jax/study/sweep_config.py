@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from pgf_jax import cores
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, shown
 from pgf_jax.fleet.compute import parse_compute
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.policies import policy_names
@@ -17,6 +17,7 @@ from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import engine_names
 from pgf_jax.planning.config import Cost, Planner
 from pgf_jax.scene.sampling import PRESETS as SCENE_CLASSES
+from pgf_jax.settings import check_fields
 from pgf_jax.study.checks import MAX_SEED, at_least, one_of, whole
 
 CLOCK_S = 1e-9  # the simulated clock counts nanoseconds
@@ -161,7 +162,7 @@ class SweepConfig:
     resume: bool = False
 
     def __post_init__(self) -> None:
-        self._take_paths_and_lists()
+        check_fields(self)
         if self.preset is not None:
             one_of("preset", self.preset, [*PRESETS])
         self._check_fixed()
@@ -188,9 +189,9 @@ class SweepConfig:
             raise BadInput(f"service_sd: expected 0 with service_mean 0, got {self.service_sd!r}")
         try:
             parse_compute(self.compute)
-        except BadInput:
+        except ValueError:  # a BadInput is one, and so is a number of too many digits
             raise BadInput(
-                f"compute: expected dedicated, or shared:C with C cores, got {self.compute!r}"
+                f"compute: expected dedicated, or shared:C with C cores, got {shown(self.compute)}"
             ) from None
         self._check_lists()
         if (self.log is not None) != (self.operator == "replay"):
@@ -200,15 +201,6 @@ class SweepConfig:
             )
         for cell in self.cells():
             self.fleet(cell)
-
-    def _take_paths_and_lists(self) -> None:
-        object.__setattr__(self, "predictor", str(self.predictor))  # a folder may be a Path
-        for name in ("scenes", "log", "out"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, Path(getattr(self, name)))
-        for name in ("robots", "policies"):
-            if isinstance(getattr(self, name), list):
-                object.__setattr__(self, name, tuple(getattr(self, name)))
 
     def _check_fixed(self) -> None:
         preset = PRESETS.get(self.preset or "")

@@ -111,9 +111,9 @@ def visit(chromium: Any, url: str) -> Any:
     page.goto(url)
     page.wait_for_selector("canvas", timeout=1e3 * PATIENCE_S)
     # Without a GPU viser says so, in front of the wall.
-    notice = page.locator(".mantine-Notification-closeButton")
-    notice.first.click(timeout=1e3 * PATIENCE_S)
-    notice.first.wait_for(state="detached", timeout=1e3 * PATIENCE_S)
+    notice = page.locator(".mantine-Notification-root").filter(has_text="WebGL")
+    notice.locator("button").click(timeout=1e3 * PATIENCE_S)
+    notice.wait_for(state="detached", timeout=1e3 * PATIENCE_S)
     return page
 
 
