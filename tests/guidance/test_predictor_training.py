@@ -279,7 +279,7 @@ def test_train_writes_nothing_on_bad_data(tmp_path):
     path = runs_path(tmp_path / "data", Mode.HUMAN)
     whole = path.read_bytes()
     path.write_bytes(whole[:-10])
-    with pytest.raises(BadInput, match=r"human/runs\.parquet: not a readable Parquet"):
+    with pytest.raises(BadInput, match=r"human/runs\.parquet: truncated or corrupt"):
         train(tmp_path / "data", tmp_path / "out", TrainConfig())
     path.unlink()
     with pytest.raises(BadInput, match=r"human/runs\.parquet: no such file"):

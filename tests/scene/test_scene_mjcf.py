@@ -90,7 +90,7 @@ def test_a_sampled_scene_survives_the_file_format(tmp_path):
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(BadInput, match=r"nowhere\.xml: no such file; expected"):
+    with pytest.raises(BadInput, match=r"nowhere\.xml: no such file, expected"):
         load_scene(tmp_path / "nowhere.xml")
 
 

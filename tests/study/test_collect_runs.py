@@ -216,7 +216,7 @@ def test_a_truncated_part_or_settings_file_is_named(tmp_path, autonomous):
     part = folder / "parts" / "part_00000.parquet"
     part.parent.mkdir()
     part.write_bytes(autonomous.read_bytes()[:-20])
-    with pytest.raises(BadInput, match=r"part_00000\.parquet: not a readable Parquet"):
+    with pytest.raises(BadInput, match=r"part_00000\.parquet: truncated or corrupt"):
         collect(settings(tmp_path, resume=True))
     (folder / "collect.json").write_text(json.dumps({"mode": "autonomous"})[:-3])
     with pytest.raises(BadInput, match=r"collect\.json: not readable"):
