@@ -89,7 +89,9 @@ def _number(name: str, value: Any, kind: type) -> Any:
     try:
         if kind is float:
             float(value)  # where it is used it will be one: an int may be too large for that
-        return value if isinstance(value, int | float) else kind(value)
+        if isinstance(value, int | float):
+            return value
+        return float(value) if kind is float else int(value)
     except Exception:
         raise _wrong(name, words, value) from None
 

@@ -1,5 +1,7 @@
 """The page: the wall, the operator's panel, and what clients do on them. viser is met here only."""
 
+import contextlib
+import io
 import logging
 import math
 import threading
@@ -47,7 +49,7 @@ class Page:
     def __init__(
         self, host: str, port: int, door: Door, *, robots: int, n_objects: int, live: bool
     ) -> None:
-        with door.guard():
+        with door.guard(), _quiet():
             self.server = viser.ViserServer(host=host, port=port, label="pgf_jax", verbose=False)
         if port not in (0, self.server.get_port()):
             self.server.stop()
@@ -93,7 +95,8 @@ class Page:
 
     def close(self) -> None:
         """Stop serving."""
-        self.server.stop()
+        with _quiet():
+            self.server.stop()
 
     # -- showing --------------------------------------------------------------------------------
 
@@ -260,6 +263,11 @@ class Page:
             self._flooding.discard(client.client_id)
         if self._session is not None:
             self._session.leave(client.client_id)
+
+
+def _quiet() -> contextlib.AbstractContextManager:
+    """Without the box in which viser says where it is: it knows of no token."""
+    return contextlib.redirect_stdout(io.StringIO())
 
 
 def _look(client: viser.ClientHandle) -> None:

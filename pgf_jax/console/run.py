@@ -2,7 +2,9 @@
 
 import logging
 import signal
+import statistics
 import threading
+import time
 from pathlib import Path
 
 from rich.console import Console
@@ -14,9 +16,12 @@ from pgf_jax.console.page import Page
 from pgf_jax.console.session import Session
 from pgf_jax.console.setting import Setting
 from pgf_jax.fleet.metrics import CellSummary
+from pgf_jax.study.fit_operator import service_times
+from pgf_jax.study.service_fit import ANSWERS
 from pgf_jax.study.sweep_report import summary_tables
 
 LOG = "console.log"
+FAREWELL_S = 1.0  # until the page has heard that the session is over
 
 
 def console(config: ConsoleConfig) -> CellSummary:
@@ -47,6 +52,7 @@ def console(config: ConsoleConfig) -> CellSummary:
         _stop_on_signals(session)
         session.run()
         summary = session.record.close()
+        time.sleep(FAREWELL_S)
     finally:
         page.close()
     _conclude(session, config.out, summary)
@@ -62,8 +68,11 @@ def _say(page: Page, door: Door, config: ConsoleConfig) -> None:
 
 def _conclude(session: Session, out: Path, summary: CellSummary) -> None:
     Console().print(summary_tables([summary]))
+    services = service_times(session.play.fleet.events).services
+    seconds = [service.seconds for service in services if service.outcome in ANSWERS]
+    took = f" after {statistics.median(seconds):.1f} s (median)" if seconds else ""
     print(
-        f"{summary.answered} answers; the clock waited {session.clock.held_s:.1f} s for the "
+        f"{len(seconds)} answers{took}; the clock waited {session.clock.held_s:.1f} s for the "
         f"computer; results in {out}"
     )
 

@@ -18,6 +18,7 @@ from pgf_jax.study.recording import LIVE, Recording, agreed, compare, replaying,
 from pgf_jax.study.sweep_setup import Setup, identity, prepare
 
 log = logging.getLogger(__name__)
+_OF_A_SERVER = ("host", "port")
 _OF_PEOPLE = ("speed", "patience")  # settings that a simulated operator knows nothing of
 
 
@@ -46,13 +47,17 @@ class Setting:
         earlier = None
         if config.resume:
             earlier = read_log(config.out / JOURNAL)
-            config = _as_recorded(config, earlier)
+            if _OF_PEOPLE[0] not in (earlier.settings or {}):
+                raise BadInput(f"{earlier.path}: was no live session, and only those go on")
+            config = _as_recorded(config, earlier, _OF_A_SERVER)
         else:
             for name in (JOURNAL, TABLE):
                 if (config.out / name).exists():
                     raise BadInput(
                         f"out: {config.out / name} exists; expected a new folder, or --resume"
                     )
+        if config.log is not None:
+            config = _as_recorded(config, read_log(config.log), _OF_A_SERVER + _OF_PEOPLE)
         sweep = config.sweep()
         if sweep.log is not None:
             sweep = replaying(sweep, read_log(sweep.log))
@@ -144,15 +149,14 @@ class Setting:
                 )
 
 
-def _as_recorded(config: ConsoleConfig, earlier: EventLog) -> ConsoleConfig:
-    """The settings of the session that is gone on with."""
+def _as_recorded(config: ConsoleConfig, earlier: EventLog, own: tuple[str, ...]) -> ConsoleConfig:
+    """The settings of the session that is gone on with, or replayed; but for its `own`."""
     recorded = earlier.settings or {}
     flat = {
         **recorded,
         "robots": _one(recorded, "robots", earlier),
         "policy": _one(recorded, "policies", earlier),
     }
-    own = ("host", "port")
     ours = {n: v for n, v in settings_of(config).items() if n not in own}
     defaults = {n: v for n, v in settings_of(ConsoleConfig()).items() if n not in own}
     values = agreed(ours, defaults, flat, earlier.path)
