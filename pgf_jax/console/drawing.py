@@ -8,6 +8,7 @@ import viser
 from pgf_jax.console import wall
 from pgf_jax.console.session import Frame
 from pgf_jax.console.wall import Disks, Layout, Squares
+from pgf_jax.physics import hand
 from pgf_jax.scene.scene import RADIUS
 
 _SIDES = 16  # of a disk
@@ -40,7 +41,7 @@ class Drawing:
             "shelves": self._mesh("shelves", _SQUARE, _HALVES, 5 * cells),
             "rims": self._mesh("rims", _DISK, _FAN, n_objects * cells),
             "objects": self._mesh("objects", _DISK, _FAN, n_objects * cells),
-            "hands": self._mesh("hands", _SQUARE, _HALVES, 16 * cells),
+            "hands": self._mesh("hands", _SQUARE, _HALVES, hand.N_CAPSULES * cells),
         }
         self._lines = {
             name: self._segments(name, color, width)

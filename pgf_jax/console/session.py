@@ -126,7 +126,7 @@ class Session:
         self._answers: dict[tuple, Callable[[bool], None]] = {}  # by service: when its end is
         self._until_ns = setting.start_ns
         self._asked_ns = setting.start_ns  # when the service under way began
-        self._seen = len(self.play.fleet.events)
+        self._seen = 0  # events; catching up may have ended a service that it opened
         self._there = self.play.fleet.operators.is_there(0)
         self._frame_at = 0.0
         self._stopping = False
