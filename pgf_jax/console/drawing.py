@@ -50,6 +50,7 @@ class Drawing:
                 ("curves", (40, 60, 110), 2),
                 ("inputs", (240, 150, 60), 2),
                 ("paths", (31, 78, 156), 2),
+                ("drags", (190, 110, 60), 2),
                 ("pushes", (240, 120, 30), 3),
                 ("arrow", _GHOST, 3),
                 ("numbers", (20, 20, 20), 1),
@@ -72,7 +73,7 @@ class Drawing:
         curves, inputs, frames = wall.curves(pairs)
         lines = {"curves": curves, "inputs": inputs, "frames": frames}
         lines |= {"paths": wall.paths(pairs), "pushes": wall.pushes(pairs)}
-        lines["numbers"] = wall.numbers(pairs)
+        lines |= {"drags": wall.drags(pairs), "numbers": wall.numbers(pairs)}
         lines["arrow"] = self._show_ghost(frame, layout)
         for name, points in lines.items():
             self._put_lines(name, points)

@@ -26,6 +26,8 @@ MARGIN = 1.02  # around the poster
 FOV = 0.35  # rad: a long lens, which shows the poster flat
 ACTS_PER_S, ACTS_AT_ONCE = 10.0, 20.0  # of a client; nobody is that fast
 HELP = """\
+Blue: the best trajectory so far; brown: where it would take the objects. It fails: what would help?
+
 **Mouse**: click an object, then the place it should come to, then *Push*.
 
 **Keyboard**: Tab next object, I J K L move its place, Enter push, Escape undo, G go on reaching,

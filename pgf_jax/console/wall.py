@@ -26,6 +26,7 @@ CURVE_V = (0.02, 0.17)  # the curve's strip
 LARGE_TOP = 0.89  # a large shelf's cell goes from over the curve to under the caption
 DETAILED = 3.0  # scale from which on rims and fingers can be told apart
 _OUTLINE = np.array([0, 1, 2, 5, 7, 11, 13])  # base, wrist, palm, couplers, fingers' backs
+MOVED = 0.002  # m, from which on an object is seen to move
 CAPTION_V = 1.09  # top of the caption
 LARGE_CURVE = (4.1, 2.6)  # width and height beside a large shelf, units
 GAP = 0.15
@@ -263,6 +264,17 @@ def paths(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
                 -1,
             )
             parts.append(_chain(cell.place(robot.path[:, :2] + turned), 0.05))
+    return np.concatenate(parts)
+
+
+def drags(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
+    """[M, 2, 3] on a large shelf: where the best trajectory so far would take the objects."""
+    parts = [np.empty((0, 2, 3))]
+    for cell, robot in pairs:
+        if cell.large and len(robot.ends):
+            moved = np.hypot(*(robot.ends - robot.objects).T) > MOVED
+            ends = cell.place(np.stack([robot.objects[moved], robot.ends[moved]], 1))  # [M, 2, 2]
+            parts.append(np.concatenate([ends, np.full((len(ends), 2, 1), 0.035)], -1))
     return np.concatenate(parts)
 
 

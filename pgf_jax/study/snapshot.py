@@ -31,6 +31,7 @@ class RobotSnapshot:
       bid: what it bids while it waits or is served, else None; inf when stuck.
       waited_s: simulated time since its state began, s.
       done: statuses of its tasks that have ended.
+      ends: [N, 2] where the objects would end up on `path`, m; empty where that is.
     """
 
     robot: int
@@ -50,6 +51,7 @@ class RobotSnapshot:
     bid: float | None
     waited_s: float
     done: tuple[Status, ...]
+    ends: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

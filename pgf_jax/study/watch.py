@@ -125,6 +125,7 @@ class Watch:
         assert run is not None
         objects, pose, gripper = self._world(run.state, run.since_ns, seen, time_ns)
         rolled_out = int(seen.search.iteration) >= 0 and run.state is not State.EXECUTING
+        best = seen.search.best
         return RobotSnapshot(
             robot=index,
             task=seen.task,
@@ -134,7 +135,8 @@ class Watch:
             goal=int(seen.search.task.goal),
             hand=pose,
             gripper=gripper,
-            path=np.asarray(seen.search.best.hand) if rolled_out else np.empty((0, 3)),
+            path=np.asarray(best.hand) if rolled_out else np.empty((0, 3)),
+            ends=np.asarray(best.objects[-1]) if rolled_out else np.empty((0, 2)),
             push=seen.push,
             costs=tuple(seen.costs),
             inputs_at=tuple(seen.inputs_at),
