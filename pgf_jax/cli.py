@@ -131,6 +131,8 @@ def _parse(config: type, arguments: list[str]) -> Any:
             return tyro.cli(config, prog=prog, args=arguments[1:])
     except BadInput as error:
         raise BadInput(_as_flag(str(error))) from None
+    except (AssertionError, OSError, ValueError) as error:  # tyro's own options, of completions
+        raise BadInput(f"arguments: {error}") from None
     except SystemExit as stop:
         if stop.code:  # an event of a kind that is not known here: tyro's own words
             words = " ".join(

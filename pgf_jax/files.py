@@ -46,7 +46,8 @@ def read_file(path: Path | str, expected: str, most: int) -> bytes:
     """The content of a regular file; see `open_file`."""
     with open_file(path, expected, most) as file:
         try:
-            data = file.read(most + 1)  # it may grow, and some do not know their size
+            # It may grow, some do not know their size, and of a log of the system's there is None.
+            data = file.read(most + 1) or b""
         except OSError as error:
             raise _unreadable(path, error, expected) from None
     if len(data) > most:

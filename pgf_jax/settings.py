@@ -7,11 +7,12 @@ import operator
 import os
 import types
 import typing
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 from pgf_jax.errors import BadInput, shown
+
+_MOST = 10_000  # values in a list
 
 
 def check_fields(config: Any) -> None:
@@ -48,8 +49,8 @@ def _taken(name: str, value: Any, hint: Any) -> Any:
             raise _wrong(name, f"one of {', '.join(inner)}", value)
         return value
     if origin is tuple:
-        if not isinstance(value, Sequence) or isinstance(value, str | bytes | bytearray):
-            raise _wrong(name, "a list of values", value)
+        if not isinstance(value, list | tuple | range) or value[_MOST:]:
+            raise _wrong(name, f"a list of at most {_MOST} values", value)
         kinds = inner[:1] * len(value) if Ellipsis in inner or len(inner) != len(value) else inner
         taken = tuple(_taken(name, one, kind) for one, kind in zip(value, kinds, strict=True))
         same = isinstance(value, tuple) and all(map(operator.is_, taken, value))
@@ -81,19 +82,18 @@ def _path(name: str, value: Any) -> Path:
     return path
 
 
-def _number(name: str, value: Any, kind: type) -> Any:
+def _number(name: str, value: Any, kind: Any) -> Any:
     words = "a whole number" if kind is int else "a number"
-    wanted = numbers.Integral if kind is int else numbers.Real
+    wanted: Any = numbers.Integral if kind is int else numbers.Real  # NumPy's are, too
     if not isinstance(value, wanted) or isinstance(value, bool):
         raise _wrong(name, words, value)
     try:
-        if kind is float:
-            float(value)  # where it is used it will be one: an int may be too large for that
-        if isinstance(value, int | float):
-            return value
-        return float(value) if kind is float else int(value)
-    except Exception:
+        taken = kind(value)
+    except Exception:  # an int that is too large for a float, where it will be used as one
         raise _wrong(name, words, value) from None
+    if kind is int and not -(2**63) <= taken < 2**63:
+        raise _wrong(name, "a whole number of 64 bits", value)
+    return value if isinstance(value, int | float) else taken
 
 
 def _wrong(name: str, expected: str, value: Any) -> BadInput:

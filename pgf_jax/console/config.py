@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pgf_jax.errors import BadInput
 from pgf_jax.guidance.operators import operator_names
+from pgf_jax.settings import check_fields
 from pgf_jax.study.checks import at_least, one_of, whole
 from pgf_jax.study.sweep_config import SweepConfig
 
@@ -83,6 +84,7 @@ class ConsoleConfig:
     resume: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
         whole("robots", self.robots, 1, 100)
         for name, least in (("speed", 1e-3), ("patience", 1e-3)):
             at_least(name, getattr(self, name), least)

@@ -11,13 +11,10 @@ from pgf_jax.console.wall import Disks, Layout, Squares
 from pgf_jax.physics import hand
 from pgf_jax.scene.scene import RADIUS
 
-_SIDES = 16  # of a disk
-_TURN = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
-_DISK = np.concatenate([[[0, 0, 0]], np.stack([np.cos(_TURN), np.sin(_TURN), 0 * _TURN], -1)])
-_FAN = np.array([[0, 1 + i, 1 + (i + 1) % _SIDES] for i in range(_SIDES)])
+_SMALL, _LARGE = 8, 24  # sides of a disk: there are many small ones
 _SQUARE = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
 _HALVES = np.array([[0, 1, 2], [0, 2, 3]])
-_PAD = 256  # lines are sent in multiples of it: their buffers are seldom made anew
+_PAD = 32  # lines are sent in multiples of it: their buffers are seldom made anew
 CAPTION_HEIGHT, SMALLEST = 0.062, 0.125  # m of a shelf; units
 _AWAY = -100.0  # behind the camera's back
 _GHOST, _REFUSED = (31, 119, 220), (214, 39, 40)
@@ -38,14 +35,16 @@ class Drawing:
         self._sent: dict[tuple[str, str], np.ndarray] = {}
         cells = robots + 1
         self._meshes = {
-            "shelves": self._mesh("shelves", _SQUARE, _HALVES, 5 * cells),
-            "rims": self._mesh("rims", _DISK, _FAN, n_objects * cells),
-            "objects": self._mesh("objects", _DISK, _FAN, n_objects * cells),
+            "rims": self._mesh("rims", *_disk(_LARGE), n_objects * cells),
+            "objects": self._mesh("objects", *_disk(_LARGE), n_objects * cells),
+            "specks": self._mesh("specks", *_disk(_SMALL), n_objects * cells),
             "hands": self._mesh("hands", _SQUARE, _HALVES, hand.N_CAPSULES * cells),
         }
         self._lines = {
             name: self._segments(name, color, width)
             for name, color, width in (
+                ("borders", (150, 150, 150), 4),
+                ("walls", (122, 92, 58), 4),
                 ("frames", (190, 190, 190), 1),
                 ("curves", (40, 60, 110), 2),
                 ("inputs", (240, 150, 60), 2),
@@ -56,7 +55,7 @@ class Drawing:
                 ("numbers", (20, 20, 20), 1),
             )
         }
-        self._ghost = self._mesh("ghost", _DISK, _FAN, 1, opacity=0.55)
+        self._ghost = self._mesh("ghost", *_disk(_LARGE), 1, opacity=0.55)
         self._captions = [self._label(f"caption/{i}", "top-left") for i in range(robots)]
         self._title = self._label("title", "top-left")
         self._costs = [self._label(f"cost/{i}", "center-right") for i in range(len(wall.COSTS))]
@@ -65,13 +64,15 @@ class Drawing:
         """Draw a frame; to be called within the server's `atomic`."""
         pairs = wall.shown(frame.fleet, layout)
         picked = frame.picked
-        self._squares("shelves", wall.shelves(pairs))
-        inner, rims = wall.objects(pairs, None if picked is None else picked.object)
-        self._disks("rims", rims)
-        self._disks("objects", inner)
+        parts = wall.objects(pairs, None if picked is None else picked.object)
+        for name, disks in zip(("objects", "rims", "specks"), parts, strict=True):
+            self._disks(name, disks)
         self._squares("hands", wall.hands(pairs))
         curves, inputs, frames = wall.curves(pairs)
         lines = {"curves": curves, "inputs": inputs, "frames": frames}
+        lines["walls"] = wall.walls(pairs)
+        borders, colors = wall.borders(pairs)
+        self._put_lines("borders", borders, colors)
         lines |= {"paths": wall.paths(pairs), "pushes": wall.pushes(pairs)}
         lines |= {"drags": wall.drags(pairs), "numbers": wall.numbers(pairs)}
         lines["arrow"] = self._show_ghost(frame, layout)
@@ -190,12 +191,15 @@ class Drawing:
         if turns is not None:
             self._set(handle, name, "batched_wxyzs", _padded(turns, count, 0.5))
 
-    def _put_lines(self, name: str, points: np.ndarray) -> None:
+    def _put_lines(self, name: str, points: np.ndarray, colors: np.ndarray | None = None) -> None:
         count = _PAD * max(1, -(-len(points) // _PAD))
         self._set(self._lines[name], name, "points", _padded(points, count, _AWAY))
+        if colors is not None:
+            colors = _linear(colors)
+            self._set(self._lines[name], name, "colors", _padded(colors, count, 0))
 
     def _set(self, handle: Any, name: str, attribute: str, value: np.ndarray) -> None:
-        value = value.astype(np.uint8 if attribute == "batched_colors" else np.float32)
+        value = value.astype(np.uint8 if attribute.endswith("colors") else np.float32)
         before = self._sent.get((name, attribute))
         if before is None or before.shape != value.shape or (before != value).any():
             self._sent[name, attribute] = value
@@ -216,8 +220,16 @@ class Drawing:
             handle.position = position
 
 
+def _disk(sides: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a disk of radius 1."""
+    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    corners = np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
+    fan = np.array([[0, 1 + i, 1 + (i + 1) % sides] for i in range(sides)])
+    return np.concatenate([np.zeros((1, 3)), corners]), fan
+
+
 def _linear(colors: np.ndarray) -> np.ndarray:
-    """[M, 3] colours as on a screen (sRGB, 0..255) -> as batched meshes have them."""
+    """[..., 3] colours as on a screen (sRGB, 0..255) -> as viser has those of instances."""
     return np.round(255 * (np.asarray(colors) / 255) ** 2.2)
 
 

@@ -41,15 +41,14 @@ WORDS = {
     State.SERVED: "asks",
     State.EXECUTING: "reaches",
 }
-BACKGROUNDS = {
-    State.IDLE: (214, 214, 214),
-    State.PLANNING: (240, 243, 248),
-    State.IN_WINDOW: (255, 236, 179),
-    State.IN_LINE: (255, 236, 179),
-    State.SERVED: (255, 204, 153),
-    State.EXECUTING: (205, 235, 208),
+BORDERS = {
+    State.IDLE: (170, 170, 170),
+    State.PLANNING: (150, 170, 205),
+    State.IN_WINDOW: (245, 180, 0),
+    State.IN_LINE: (245, 180, 0),
+    State.SERVED: (230, 90, 20),
+    State.EXECUTING: (40, 160, 80),
 }
-BOARD, WALL = (252, 250, 246), (122, 92, 58)
 GOAL, OBJECT, PUSHED, CHOSEN = (46, 158, 79), (190, 190, 190), (240, 150, 60), (31, 119, 220)
 RIM, HAND = (60, 60, 60), (31, 78, 156)
 
@@ -177,34 +176,41 @@ def shown(fleet: FleetSnapshot, layout: Layout) -> list[tuple[Cell, RobotSnapsho
     return pairs
 
 
-def shelves(pairs: list[tuple[Cell, RobotSnapshot]]) -> Squares:
-    """Backgrounds, boards and walls."""
-    rows: list[tuple[float, ...]] = []
+def borders(pairs: list[tuple[Cell, RobotSnapshot]]) -> tuple[np.ndarray, np.ndarray]:
+    """[M, 2, 3] the cells' borders, and [M, 2, 3] their colours: what each robot does."""
+    lines, colors = [np.empty((0, 2, 3))], [np.empty((0, 2, 3))]
     for cell, robot in pairs:
-        s = cell.scale
         low, high = (CURVE_V[1], LARGE_TOP) if cell.large else (0.0, CELL_HEIGHT)
-        middle = (cell.x + s * CELL_WIDTH / 2, cell.y + s * (low + high) / 2)
-        size = (0.985 * s * CELL_WIDTH, s * (high - low - 0.015))
-        rows.append((*middle, 0.0, *size, *BACKGROUNDS[robot.state]))
-        depth = BACK_WALL_X - FRONT_X
-        board = cell.place(np.array([FRONT_X + depth / 2, 0.0]))
-        rows.append((*board, 0.01, s * 2 * SIDE_WALL_Y, s * depth, *BOARD))
-        thick = 0.012
-        back = cell.place(np.array([BACK_WALL_X + thick / 2, 0.0]))
-        rows.append((*back, 0.012, s * 2 * (SIDE_WALL_Y + thick), s * thick, *WALL))
-        for side in (-1, 1):
-            wall = cell.place(np.array([FRONT_X + depth / 2, side * (SIDE_WALL_Y + thick / 2)]))
-            rows.append((*wall, 0.012, s * thick, s * depth, *WALL))
-    table = np.array(rows).reshape(-1, 8)
-    return Squares(table[:, :3], np.zeros(len(table)), table[:, 3:5], table[:, 5:])
+        (x0, y0), (x1, y1) = np.array([[0.01, low + 0.01], [CELL_WIDTH - 0.01, high - 0.01]])
+        corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
+        lines.append(_chain(cell.scale * corners + (cell.x, cell.y), 0.01))
+        colors.append(np.tile(np.array(BORDERS[robot.state], float), (4, 2, 1)))
+    return np.concatenate(lines), np.concatenate(colors)
 
 
-def objects(pairs: list[tuple[Cell, RobotSnapshot]], chosen: int | None) -> tuple[Disks, Disks]:
-    """The objects, and the rims behind them where they are large enough to be seen.
+def walls(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
+    """[M, 2, 3] the shelves' walls."""
+    parts = [np.empty((0, 2, 3))]
+    corners = np.array(
+        [
+            [FRONT_X, SIDE_WALL_Y],
+            [BACK_WALL_X, SIDE_WALL_Y],
+            [BACK_WALL_X, -SIDE_WALL_Y],
+            [FRONT_X, -SIDE_WALL_Y],
+        ]
+    )
+    parts += [_chain(cell.place(corners), 0.012) for cell, _ in pairs]
+    return np.concatenate(parts)
+
+
+def objects(
+    pairs: list[tuple[Cell, RobotSnapshot]], chosen: int | None
+) -> tuple[Disks, Disks, Disks]:
+    """The objects of shelves that are large enough for rims, these rims, and the other objects.
 
     `chosen` is marked on the large shelf.
     """
-    centers, radii, colors, rimmed = [], [], [], []
+    centers, radii, colors, detailed = [], [], [], []
     for cell, robot in pairs:
         n = len(robot.objects)
         color = np.tile(np.array(OBJECT), (n, 1))
@@ -216,14 +222,18 @@ def objects(pairs: list[tuple[Cell, RobotSnapshot]], chosen: int | None) -> tupl
         centers.append(cell.place(robot.objects))
         radii.append(np.full(n, cell.scale * RADIUS))
         colors.append(color)
-        rimmed.append(np.full(n, cell.scale >= DETAILED))
-    center = np.concatenate([*centers, np.empty((0, 2))])
+        detailed.append(np.full(n, cell.scale >= DETAILED))
+    center = _at(np.concatenate([*centers, np.empty((0, 2))]), 0.03)
     radius = np.concatenate([*radii, np.empty(0)])
     color = np.concatenate([*colors, np.empty((0, 3))])
-    rim = np.concatenate([*rimmed, np.empty(0, bool)])
-    inner = Disks(_at(center, 0.03), np.where(rim, 0.88, 1.0) * radius, color)
-    edge = np.tile(np.array(RIM), (int(rim.sum()), 1))
-    return inner, Disks(_at(center[rim], 0.025), radius[rim], edge)
+    large = np.concatenate([*detailed, np.empty(0, bool)])
+    below = np.array([0, 0, -0.005])
+    rims = np.tile(np.array(RIM), (int(large.sum()), 1))
+    return (
+        Disks(center[large], 0.88 * radius[large], color[large]),
+        Disks(center[large] + below, radius[large], rims),
+        Disks(center[~large], radius[~large], color[~large]),
+    )
 
 
 def hands(pairs: list[tuple[Cell, RobotSnapshot]]) -> Squares:

@@ -48,7 +48,9 @@ def parse_compute(text: str, *, rollouts: int = 8) -> ComputeModel:
     if text == "dedicated":
         return Dedicated()
     name, _, cores = str(text).partition(":")
-    # isdecimal alone lets other scripts' digits through; int() would take '1_0' and ' 3'.
-    if name == "shared" and cores.isascii() and cores.isdecimal() and int(cores) > 0:
+    # isdecimal alone lets other scripts' digits through; int() would take '1_0' and ' 3', and not
+    # thousands of digits.
+    is_number = cores.isascii() and cores.isdecimal() and len(cores) < 10
+    if name == "shared" and is_number and int(cores) > 0:
         return Shared(int(cores), rollouts)
     raise BadInput(f"compute must be 'dedicated' or 'shared:C' with C cores, C >= 1, got {text!r}")

@@ -6,6 +6,7 @@ import math
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.compute import parse_compute
 from pgf_jax.fleet.policies import check_policy
+from pgf_jax.settings import check_fields
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +55,7 @@ class FleetConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("robots", "tasks", "operators", "rollouts"):
             _whole(name, getattr(self, name), 1)
         _whole("seed", self.seed, 0)

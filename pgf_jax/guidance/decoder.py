@@ -24,7 +24,7 @@ from typing import IO
 
 import polars as pl
 
-MEMORY = 4 << 30  # bytes that the process may take: tables of 1e7 rows fit
+MEMORY = 4 << 30  # bytes that the process may take: 5e6 events fit
 SECONDS = 60.0  # for one table
 _SLOWEST = 20e6  # bytes/s of a file: large ones may take longer
 _HEAD = struct.Struct("<BQ")  # how it went, bytes that follow
@@ -168,13 +168,13 @@ def _split(answer: bytes) -> tuple[bytes, bytes]:
     return answer[8 : 8 + size], answer[8 + size :]
 
 
-def _answer(data: bytes) -> bytes:
+def _answer(data: bytes) -> list[bytes | memoryview]:
     """What is sent back: length of the texts, texts, table."""
     frame = pl.read_parquet(io.BytesIO(data))
     texts = json.dumps(pl.read_parquet_metadata(io.BytesIO(data))).encode()
     table = io.BytesIO()
     frame.write_ipc_stream(table)
-    return struct.pack("<Q", len(texts)) + texts + table.getvalue()
+    return [struct.pack("<Q", len(texts)), texts, table.getbuffer()]
 
 
 def _serve(ours: IO[bytes], theirs: IO[bytes]) -> None:
@@ -187,13 +187,14 @@ def _serve(ours: IO[bytes], theirs: IO[bytes]) -> None:
         except (Exception, pl.exceptions.PanicException) as error:
             status = _BAD if isinstance(error, pl.exceptions.PolarsError) else _LAST
             reason = str(error).strip() or type(error).__name__
-            answer = reason.splitlines()[0][:200].encode(errors="replace")
-        theirs.write(_HEAD.pack(status, len(answer)))
-        theirs.write(answer)
+            answer = [reason.splitlines()[0][:200].encode(errors="replace")]
+        theirs.write(_HEAD.pack(status, sum(map(len, answer))))
+        for part in answer:
+            theirs.write(part)
         theirs.flush()
         if status == _LAST:
             return
-        del data, answer
+        del data, answer, part
 
 
 def _limit() -> None:

@@ -76,7 +76,8 @@ class Forks:
     @property
     def gain(self) -> np.ndarray:
         """[F] true gains: means over the keys."""
-        return (self.alone - self.helped).mean(axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):  # costs near the largest float
+            return (self.alone - self.helped).mean(axis=1)
 
     def take(self, index: np.ndarray) -> "Forks":
         """Some of the states."""
@@ -137,10 +138,7 @@ def forks_of(frame: pl.DataFrame, name: str = "forks") -> Forks:
     first = frame.filter(pl.col("key") == 0)
     state = first.select(f"state:{s}" for s in STATE).to_numpy()
     alone, helped = (frame[c].to_numpy().reshape(len(first), -1) for c in ("alone", "helped"))
-    finite = np.isfinite(np.concatenate([state, alone, helped], axis=1)).all(axis=1)
-    if not finite.any():
-        raise BadInput(f"{name}: no state whose futures are all finite")
-    return Forks(
+    forks = Forks(
         scene=first["scene"].to_numpy(),
         scene_class=first["class"].to_numpy(),
         iteration=first["iteration"].to_numpy(),
@@ -148,7 +146,12 @@ def forks_of(frame: pl.DataFrame, name: str = "forks") -> Forks:
         state=state,
         alone=alone,
         helped=helped,
-    ).take(np.flatnonzero(finite))
+    )
+    finite = np.isfinite(np.concatenate([state, alone, helped], axis=1)).all(axis=1)
+    finite &= np.isfinite(forks.gain)  # costs may be finite, and their difference not
+    if not finite.any():
+        raise BadInput(f"{name}: no state whose futures are all finite")
+    return forks.take(np.flatnonzero(finite))
 
 
 def gain_rows(frame: pl.DataFrame) -> Rows:

@@ -163,7 +163,8 @@ def _rows(frame: pl.DataFrame, moments: Callable[[_Run], np.ndarray], rule: Rule
     """Rows at those of `moments(run)` (iterations) that have features and are not solved."""
     features, target, unsolved, scene, iteration = [], [], [], [], []
     for run in _split_runs(frame):
-        cost = run.terms.sum(axis=1)  # [I]
+        with np.errstate(over="ignore"):  # terms may be finite and their sum not: no row then
+            cost = run.terms.sum(axis=1)  # [I]
         reach = np.flatnonzero(run.reach)
         counted = np.cumsum(run.reach & (run.local > 0))  # [I] reach iterations so far
         for t in moments(run):

@@ -55,7 +55,5 @@ class TrainConfig:
             )
         if not 0.0 <= self.dropout < 1.0:
             raise BadInput(f"dropout must be within [0, 1), got {self.dropout}")
-        if self.loss not in ("rmse", "mae", "logistic"):
-            raise BadInput(f"loss must be rmse, mae or logistic, got {self.loss!r}")
         if not self.hidden or min(self.hidden) < 1:
             raise BadInput(f"hidden must be one or more widths of at least 1, got {self.hidden}")

@@ -4,7 +4,6 @@ import dataclasses
 from typing import Literal
 
 from pgf_jax.errors import BadInput
-from pgf_jax.settings import check_fields
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +51,6 @@ class Planner:
     cost: Cost = dataclasses.field(default_factory=Cost)
 
     def __post_init__(self) -> None:
-        check_fields(self)
         if self.rollouts < 1:
             raise BadInput(f"rollouts: expected a positive number, got {self.rollouts}")
         if self.update not in ("greedy", "stomp"):

@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 from pgf_jax.errors import BadInput
 from pgf_jax.settings import check_fields
-from pgf_jax.study.checks import at_least, one_of, whole
+from pgf_jax.study.checks import at_least, whole
 
 SUFFIXES = (".png", ".mp4")
 SMALLEST, LARGEST = 240, 7680  # px: less is not legible, more is not played
@@ -49,8 +49,6 @@ class RenderConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        one_of("what", self.what, ["plan", "task", "fleet"])
-        one_of("view", self.view, ["top", "3d"])
         if self.out.suffix.lower() not in SUFFIXES:
             raise BadInput(f"out: expected a file {' or '.join(SUFFIXES)}, got {str(self.out)!r}")
         for name in ("robot", "task"):

@@ -188,11 +188,11 @@ def _check_upright(body: ET.Element, name: str) -> None:
     if body.get("quat") is None:
         return
     quat = _numbers(body, "quat", name)
-    norm2 = sum(q * q for q in quat)
-    if len(quat) != 4 or norm2 < 1e-12:
+    norm = math.hypot(*quat)  # inf, and nothing raised, where their squares are too large
+    if len(quat) != 4 or not 1e-6 <= norm < math.inf:
         raise BadInput(f"{name} has quat {body.get('quat')!r}; expected four numbers, not all 0")
     # The z axis of the body, seen from the world: its z component is the cosine of the tilt.
-    cosine = 1 - 2 * (quat[1] ** 2 + quat[2] ** 2) / norm2
+    cosine = 1 - 2 * ((quat[1] / norm) ** 2 + (quat[2] / norm) ** 2)
     if cosine < math.cos(_MAX_TILT):
         tilt = math.degrees(math.acos(max(-1.0, cosine)))
         raise BadInput(f"{name} is tilted by {tilt:.1f} deg; expected it upright (quat about z)")

@@ -30,7 +30,6 @@ from pgf_jax.guidance.forks import read_forks, write_forks
 from pgf_jax.guidance.runs import RUN, Mode, read_runs, runs_path, write_runs
 from pgf_jax.guidance.tables import read_provenance, write_atomically
 from pgf_jax.study import collect_run
-from pgf_jax.study.checks import MAX_SEED
 from pgf_jax.study.collect_config import CollectConfig
 from pgf_jax.study.collect_run import PARTS
 from pgf_jax.study.collect_sessions import replay_sessions
@@ -38,6 +37,7 @@ from pgf_jax.study.manifest import environment
 from pgf_jax.study.results import json_bytes
 
 SETTINGS = "collect.json"
+_MOST_SCENES = 10_000_000  # what a file says may not fill the memory
 # Settings that must be as they were for runs to be continued; more scenes may always be added.
 _KEPT = (
     "mode",
@@ -204,7 +204,7 @@ def _scenes_in(file: Path) -> set[int]:
     indices, scenes = about.get("indices"), about.get("scenes")
     if isinstance(indices, list) and all(type(i) is int for i in indices):
         return set(indices)
-    if type(scenes) is not int or not 0 <= scenes <= MAX_SEED:
+    if type(scenes) is not int or not 0 <= scenes <= _MOST_SCENES:
         raise BadInput(f"{file}: does not say which scenes it holds")
     return set(range(scenes))
 

@@ -13,10 +13,8 @@ from pgf_jax.errors import BadInput, shown
 from pgf_jax.fleet.compute import parse_compute
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.policies import policy_names
-from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import engine_names
 from pgf_jax.planning.config import Cost, Planner
-from pgf_jax.scene.sampling import PRESETS as SCENE_CLASSES
 from pgf_jax.settings import check_fields
 from pgf_jax.study.checks import MAX_SEED, at_least, one_of, whole
 
@@ -163,15 +161,8 @@ class SweepConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.preset is not None:
-            one_of("preset", self.preset, [*PRESETS])
         self._check_fixed()
         one_of("engine", self.engine, engine_names())
-        one_of("physics", self.physics, [*PHYSICS])
-        one_of("cost", self.cost, ["source", "paper"])
-        one_of("update", self.update, ["greedy", "stomp"])
-        if self.scene_class is not None:
-            one_of("scene_class", self.scene_class, [*SCENE_CLASSES, "all"])
         if self.scenes is not None and self.scene_class is not None:
             raise BadInput(
                 f"scene_class: expected none beside scenes {self.scenes}, got {self.scene_class!r}"

@@ -129,13 +129,13 @@ def click_shelf(page: Any, cell: Cell, place: np.ndarray) -> None:
     box = page.locator("canvas").first.bounding_box()
     units = max(wall.HEIGHT, wall.WIDTH * box["height"] / box["width"]) * MARGIN
     scale = box["height"] / units  # pixels a unit
-    place = (
+    at = (
         box["x"] + box["width"] / 2 + scale * (x - wall.WIDTH / 2),
         box["y"] + box["height"] / 2 - scale * (y - wall.HEIGHT / 2),
     )
-    page.mouse.move(*place)
+    page.mouse.move(*at)
     page.wait_for_timeout(200)  # a hand is no faster; viser takes a leap for a drag
-    page.mouse.click(*place)
+    page.mouse.click(*at)
 
 
 def scene_of(robot: int, task: int, seed: int = 0) -> Scene:

@@ -424,7 +424,7 @@ def test_a_session_that_went_another_way_does_not_go_on(whole, tmp_path):
 
 
 def test_there_is_nothing_to_resume(tmp_path):
-    with pytest.raises(BadInput, match="No such file"):
+    with pytest.raises(BadInput, match="no such file"):
         Setting.of(toy(tmp_path, resume=True))
     (tmp_path / JOURNAL).write_bytes(b'{"what": "pgf_jax ses')
     with pytest.raises(BadInput, match="is empty, expected an event log"):

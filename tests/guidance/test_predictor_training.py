@@ -212,7 +212,7 @@ def test_divergence_and_one_scene_are_bad_input():
         ({"members": 0}, "members must be at least 1, got 0"),
         ({"dropout": 1.0}, r"dropout must be within \[0, 1\), got 1.0"),
         ({"dropout": float("nan")}, "dropout must be within"),
-        ({"loss": "mse"}, "loss must be rmse, mae or logistic, got 'mse'"),
+        ({"loss": "mse"}, "loss: expected one of rmse, mae, logistic, got 'mse'"),
     ],
 )
 def test_bad_settings(bad, message):

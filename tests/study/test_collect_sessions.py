@@ -319,7 +319,7 @@ def test_logs_are_looked_at_before_any_is_replayed(tmp_path, session, monkeypatc
         raise AssertionError("nothing is to be replayed")
 
     monkeypatch.setattr(collect_sessions, "drive", drive)
-    with pytest.raises(BadInput, match=r"missing.jsonl: cannot be read"):
+    with pytest.raises(BadInput, match=r"missing.jsonl: no such file"):
         collect(settings(tmp_path, session.folder, tmp_path / "missing.jsonl"))
     with pytest.raises(BadInput, match=r"nobody.parquet: no such file"):
         collect(settings(tmp_path, session.folder, tmp_path / "nobody.parquet"))
@@ -406,7 +406,7 @@ def test_the_command_names_what_is_wrong_in_one_line(tmp_path, session, capsys):
         (["autonomous", "--log", session.folder], "--log: expected with mode human only"),
         (["human", "--log", session.folder, "--scenes", 1], "--scenes: expected none beside log"),
         (["human", "--log", session.folder, "--task-limit", 9], "--task-limit: expected none"),
-        (["human", "--log", tmp_path / "x.jsonl"], "x.jsonl: cannot be read"),
+        (["human", "--log", tmp_path / "x.jsonl"], "x.jsonl: no such file"),
     ):
         code, out, err = run(capsys, *arguments, "--out", tmp_path / "data")
         assert (code, out) == (2, "")

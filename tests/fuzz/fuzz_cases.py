@@ -1,0 +1,506 @@
+"""What is fuzzed: the readers, files that each takes, and what may come of one that was changed.
+
+`outcome` reads one changed file: "read", "refused" (by BadInput, in one line that names the file),
+or else what went wrong. Everything about a case follows from its reader's name and its number.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import io
+import json
+import tempfile
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import fuzz_mutate as mutate
+import numpy as np
+import polars as pl
+
+from pgf_jax.errors import BadInput
+from pgf_jax.fleet import Event, EventKind
+from pgf_jax.fleet.records import TaskRecord
+from pgf_jax.guidance import checkpoint
+from pgf_jax.guidance.bidders import Choice
+from pgf_jax.guidance.forks import FORK_SCHEMA, gain_rows, read_forks, write_forks
+from pgf_jax.guidance.rows import autonomous_rows, human_rows
+from pgf_jax.guidance.runs import Mode, RunLog, read_runs, write_runs
+from pgf_jax.guidance.state import STATE
+from pgf_jax.planning.types import Status
+from pgf_jax.scene import Scene, load_scene, load_scenes, sample_scene
+from pgf_jax.study import collect, event_log, results, service_fit
+from pgf_jax.study.crew import Segment
+from pgf_jax.study.fit_operator import fit_operator
+from pgf_jax.study.fit_operator_config import FitOperatorConfig
+from pgf_jax.study.plan_file import Plan, load_plan, save_plan
+from pgf_jax.study.recording import Recording, replaying, settings_of
+from pgf_jax.study.sweep import MANIFEST, check_folder
+from pgf_jax.study.sweep_config import Cell, SweepConfig
+from pgf_jax.study.sweep_setup import Setup, identity
+
+LONGEST = 500  # characters of a message
+CORPUS = Path(__file__).parent / "corpus"
+
+
+@dataclasses.dataclass(frozen=True)
+class Reader:
+    """Something that reads a file of the user's.
+
+    Attributes:
+      name: of the file that is changed, below the case's folder.
+      read: reads it, given the case's folder.
+      seeds: makes good files of it.
+      mutators: one is drawn for a case, and in every fourth case a second one of bytes.
+      around: makes the other files of the folder.
+    """
+
+    name: str
+    read: Callable[[Path], object]
+    seeds: Callable[[], Sequence[bytes]]
+    mutators: Sequence[mutate.Mutator]
+    around: Callable[[], Mapping[str, bytes]] = dict
+
+
+# -- good files ------------------------------------------------------------------------------------
+
+
+def _written(write: Callable[[Path], object], name: str = "x") -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        write(path)
+        return next(p for p in Path(folder).iterdir() if p.is_file()).read_bytes()
+
+
+def mjcf(centres: Sequence[Sequence[float]], *, plain: bool = False) -> bytes:
+    """A scene in the published files' form."""
+    geom = '<geom friction="0.3 0.3 0.3" mass="1." size="0.03 0.05" type="cylinder"/>'
+    joint = '<joint damping="0.5" stiffness="0.01" armature="0.1" type="free"/>'
+    bodies = "".join(
+        f'<body name="object_{i}" pos="{x!r} {y!r} 0.18" quat="0.6 0 0 0.8">\n{geom}{joint}</body>'
+        for i, (x, y) in enumerate(centres, 1)
+    )
+    around = ("", "") if plain else ('<include file="a.xml"/>', '<include file="include/b.xml"/>')
+    return (
+        f'<?xml version="1.0"?>\n<mujoco model="m">{around[0]}<worldbody>{around[1]}{bodies}'
+        "</worldbody></mujoco>"
+    ).encode()
+
+
+def scene_files() -> list[bytes]:
+    sampled = [sample_scene(seed, preset).positions.tolist() for seed, preset in _SCENES]
+    return [*map(mjcf, sampled), mjcf([(0.4, 0.2), (0.45, -0.2), (0.5, 0.1)], plain=True)]
+
+
+_SCENES = ((1, "tight"), (2, "medium"), (3, "wide"))
+
+
+def shipped(network: str) -> bytes:
+    return (checkpoint.shipped_checkpoints() / checkpoint.checkpoint_name(network)).read_bytes()
+
+
+def checkpoints() -> list[bytes]:
+    return [shipped("phi_auto"), shipped("failure")]
+
+
+def run_tables() -> list[bytes]:
+    frames = []
+    for seed in range(4):
+        log = RunLog(scene=f"tight_{seed}", seed=seed, scene_class="tight", n_objects=20)
+        log.begin_segment("reach")
+        for i in range(4 + seed):
+            log.add((400.0 - i, 2.0 * i, 450.0), feasible=seed == 3 and i == 6)
+        frames.append(log)
+    alone = [log.frame() for log in frames]
+    for log in frames[:2]:
+        log.input_given()
+        log.begin_segment("push")
+        log.add((3.0, 0.0, 0.0), feasible=True)
+        log.begin_segment("reach")
+        log.add((300.0, np.inf, np.nan), feasible=False)
+    helped = [log.frame() for log in frames]
+    about = {"settings": {"mode": "human"}, "indices": [0, 1, 2, 3], "scenes": 4}
+    return [
+        _written(lambda path: write_runs(path, alone, about)),
+        _written(lambda path: write_runs(path, helped, about)),
+    ]
+
+
+def fork_tables() -> list[bytes]:
+    rows = [
+        {
+            "scene": f"tight_{seed}",
+            "seed": seed,
+            "class": "tight",
+            "iteration": 4,
+            "input": ("push", "go_on")[seed % 2],
+            "key": key,
+            "alone": 400.0 + key,
+            "helped": 100.0 * seed,
+            "alone_solved": False,
+            "helped_solved": seed == 0,
+            "alone_iterations": 10,
+            "helped_iterations": 12,
+            "pushed": True,
+            **{f"state:{name}": float(i) for i, name in enumerate(STATE)},
+        }
+        for seed in range(3)
+        for key in range(2)
+    ]
+    frame = pl.DataFrame(rows, schema=FORK_SCHEMA)
+    return [_written(lambda path: write_forks(path, [frame], {"indices": [0, 1, 2]}))]
+
+
+def records(robots: int = 2) -> list[TaskRecord]:
+    counts = {f.name: 3 for f in dataclasses.fields(TaskRecord) if f.type is int}
+    times = {f.name: 1.5 for f in dataclasses.fields(TaskRecord) if f.type is float}
+    return [
+        TaskRecord(
+            **(counts | times | {"robot": robot, "task": task, "cost": np.nan}),  # pyright: ignore[reportArgumentType]
+            status=Status.SOLVED if task else Status.TIMED_OUT,
+            first_bid=None,
+            first_grant=2,
+            grants_at=(2, 5),
+            successful_grants_at=(),
+            asked_cost=(450.0, np.nan),
+            helped_cost=(np.nan, 1.0),
+            terms=(1.0, 2.0, np.nan),
+        )
+        for robot in range(robots)
+        for task in range(2)
+    ]
+
+
+S = 10**9
+EVENTS = [
+    Event(0, EventKind.TASK_START, 0, 0),
+    Event(0, EventKind.TASK_START, 1, 0),
+    Event(3 * S, EventKind.ITERATION, 0, 0, iteration=0, gain=np.nan, outcome="stuck"),
+    Event(3 * S, EventKind.BID, 0, 0, 0, iteration=0, gain=np.inf),
+    Event(3 * S, EventKind.GRANT, 0, 0, 0, 0),
+    Event(11 * S, EventKind.SERVICE_END, 0, 0, 0, 0, object=5, x=0.25, y=-0.1, outcome="push"),
+    Event(12 * S, EventKind.OPERATOR_AWAY, operator=0),
+    Event(20 * S, EventKind.OPERATOR_BACK, operator=0),
+    Event(20 * S, EventKind.GRANT, 1, 0, 0, 0),
+    Event(24 * S, EventKind.SERVICE_END, 1, 0, 0, 0, outcome="go_on"),
+    Event(30 * S, EventKind.GRANT, 0, 0, 1, 0),
+    Event(90 * S, EventKind.SERVICE_END, 0, 0, 1, 0, outcome="unanswered"),
+    Event(99 * S, EventKind.GRANT, 1, 0, 1, 0),
+    Event(101 * S, EventKind.SERVICE_END, 1, 0, 1, 0, outcome="push", object=1, x=0.3, y=0.0),
+    Event(120 * S, EventKind.TASK_END, 1, 0, outcome="timed_out"),
+]
+
+
+def about() -> dict[str, Any]:
+    settings = settings_of(SweepConfig(robots=(2,), policies=("pgf",), tasks=1))
+    versions = {"pgf_jax": "0", "jax": "0"}
+    return {
+        "settings": settings | {"speed": 1.0, "patience": 60.0},
+        "identity": {"versions": versions, "operator": "live"},
+    }
+
+
+def journals() -> list[bytes]:
+    def write(path: Path, events: Sequence[Event]) -> None:
+        journal = event_log.Journal(path, about())
+        journal.append(events)
+        journal.close()
+
+    return [_written(lambda path, n=n: write(path, EVENTS[:n])) for n in (15, 8, 0)]
+
+
+def event_tables() -> list[bytes]:
+    merged = results.merge(
+        [(Cell(policy, 2, 1), results.events_frame(EVENTS)) for policy in ("pgf", "or-hitl")]
+    )
+    return [
+        _written(lambda path: event_log.write_log(path, EVENTS, about())),
+        results.parquet(results.events_frame(EVENTS)),
+        results.parquet(merged),
+    ]
+
+
+def task_tables() -> list[bytes]:
+    return [results.parquet(results.tasks_frame(records(n), lambda r, t: "x")) for n in (2, 5)]
+
+
+def plans() -> list[bytes]:
+    push = Segment("push", 3.0, np.full((2, 3), 0.1), np.full(2, 255.0))
+    reach = Segment("reach", 3.0, np.zeros((2, 3)), np.zeros(2))
+    terms = ("c_d", "c_f", "c_b", "c_e", "c_s", "total")
+    plan = Plan(
+        scene=Scene("two", np.array([[0.4, 0.1, 0.03], [0.5, 0.0, 0.03]]), 1),
+        status=Status.NON_FINITE,
+        seed=3,
+        engine="native",
+        lanes=1,
+        physics="default",
+        cost_variant="source",
+        update="greedy",
+        operator="heuristic",
+        ask="after:3",
+        segments=(push, reach),
+        cost=dict.fromkeys(terms, 1.0) | {"c_f": np.inf},
+        history=np.array([[1.0, np.inf, 0.0], [2.0, 3.0, 4.0]]),
+        history_starts=(0,),
+        iterations=5,
+        reach_iterations=4,
+        planning_time_s=16.5,
+        waiting_s=0.0,
+        interaction_s=8.0,
+        execution_s=4.0,
+        pushes=1,
+        requests=1,
+        grants=1,
+        non_finite=2,
+    )
+    whole = _written(lambda path: save_plan(path.parent, plan))
+    alone = dataclasses.replace(plan, segments=(reach,), pushes=0, status=Status.SOLVED)
+    return [whole, _written(lambda path: save_plan(path.parent, alone))]
+
+
+SWEEP = SweepConfig(
+    robots=(2,), policies=("or-hitl", "autonomous"), tasks=2, operator="none", resume=True
+)
+
+
+@functools.cache
+def setup(out: Path) -> Setup:
+    return Setup(dataclasses.replace(SWEEP, out=out), None, None, None, {}, 20)
+
+
+@functools.cache
+def cell_files() -> dict[str, bytes]:
+    """Both cells of a finished sweep, by their paths in its folder."""
+    files: dict[str, bytes] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for cell in SWEEP.cells():
+            tasks = results.tasks_frame(records(), lambda robot, task: "x")
+            events = results.events_frame(EVENTS)
+            results.write_cell(folder, cell, identity(setup(folder), cell), tasks, events)
+        for path in folder.glob("cells/*/*"):
+            files[str(path.relative_to(folder))] = path.read_bytes()
+    return files | {MANIFEST: b"{}"}
+
+
+def collect_settings() -> list[bytes]:
+    kept = {"mode": "human", "classes": ["tight"], "seed": 0, "task_limit": 120.0, "scenes": 4}
+    return [results.json_bytes(kept)]
+
+
+# -- readers ---------------------------------------------------------------------------------------
+
+
+def _scenes(folder: Path) -> None:
+    load_scenes(folder)
+
+
+def _checkpoint(folder: Path) -> None:
+    path = folder / "phi_auto.msgpack"
+    loaded = checkpoint.load(path)
+    checkpoint.save(folder / "again", loaded)  # what was read can be written
+    (folder / "again").unlink()
+    Choice("paper", folder).load()
+
+
+def _runs(folder: Path) -> None:
+    frame = read_runs(folder / "runs.parquet")
+    human_rows(frame)
+    autonomous_rows(read_runs(folder / "runs.parquet", mode=Mode.AUTONOMOUS))
+
+
+def _part(folder: Path) -> None:
+    collect._scenes_in(folder / "part_0.parquet")
+
+
+def _forks(folder: Path) -> None:
+    frame = read_forks(folder / "forks.parquet")
+    try:
+        gain_rows(frame)
+    except BadInput as error:  # of a table, which it does not know the file of
+        raise BadInput(f"{folder}: {error}") from None
+
+
+def _tasks(folder: Path) -> None:
+    results.task_records(results.read_results(folder / "tasks.parquet", results.TASK_SCHEMA))
+
+
+def _cell(folder: Path) -> None:
+    tasks, events = results.read_cell(folder, SWEEP.cells()[0])
+    results.task_records(tasks)
+    results.event_log(events)
+
+
+def _plan(folder: Path) -> None:
+    plan = load_plan(folder / "two.plan.json")
+    json.dumps(plan.to_json(), allow_nan=False)  # what was read can be written
+
+
+def _log(path: Path) -> None:
+    log = event_log.read_log(path)
+    for events in log.fleets:
+        event_log.digest(events)
+    Recording.of(log)
+    replaying(SweepConfig(operator="replay", log=path), log)
+
+
+def _fit(path: Path) -> None:
+    with contextlib.redirect_stdout(io.StringIO()):
+        fit_operator(FitOperatorConfig((path,), json=True))
+
+
+def _signed(data: bytes, others: Sequence[bytes], rng: mutate.Rng) -> bytes:
+    """A changed table; `outcome` writes its digest into the cell's record."""
+    return mutate.pick(rng, mutate.PARQUET)(data, others, rng)
+
+
+_CELL = "cells/or-hitl_R2"
+
+
+def _around_cell(without: str) -> Mapping[str, bytes]:
+    return {name: data for name, data in cell_files().items() if name != without}
+
+
+READERS: dict[str, Reader] = {
+    "scene": Reader("s.xml", lambda f: load_scene(f / "s.xml"), scene_files, mutate.XML),
+    "scenes": Reader(
+        "s_2.xml",
+        _scenes,
+        scene_files,
+        mutate.XML,
+        lambda: {"s_1.xml": scene_files()[-1], "1²3.xml": scene_files()[-1]},
+    ),
+    "checkpoint": Reader(
+        "phi_auto.msgpack",
+        _checkpoint,
+        checkpoints,
+        mutate.MSGPACK,
+        lambda: {"phi_human.msgpack": shipped("phi_human")},
+    ),
+    "runs": Reader("runs.parquet", _runs, run_tables, mutate.PARQUET),
+    "forks": Reader("forks.parquet", _forks, fork_tables, mutate.PARQUET),
+    "part": Reader("part_0.parquet", _part, run_tables, mutate.PARQUET),
+    "settings": Reader(
+        "collect.json",
+        lambda f: collect._read_settings(f / "collect.json"),
+        collect_settings,
+        mutate.JSON,
+    ),
+    "tasks": Reader("tasks.parquet", _tasks, task_tables, mutate.PARQUET),
+    "cell_tasks": Reader(
+        f"{_CELL}/tasks.parquet",
+        _cell,
+        task_tables,
+        (_signed,),
+        lambda: _around_cell(f"{_CELL}/tasks.parquet"),
+    ),
+    "cell_events": Reader(
+        f"{_CELL}/events.parquet",
+        _cell,
+        lambda: event_tables()[:2],
+        (_signed,),
+        lambda: _around_cell(f"{_CELL}/events.parquet"),
+    ),
+    "cell_record": Reader(
+        f"{_CELL}/cell.json",
+        _cell,
+        lambda: [cell_files()[f"{_CELL}/cell.json"]],
+        mutate.JSON,
+        lambda: _around_cell(f"{_CELL}/cell.json"),
+    ),
+    "folder": Reader(
+        f"{_CELL}/cell.json",
+        lambda f: check_folder(setup(f)),
+        lambda: [cell_files()[f"{_CELL}/cell.json"]],
+        mutate.JSON,
+        lambda: _around_cell(f"{_CELL}/cell.json"),
+    ),
+    "json": Reader(
+        "x.json",
+        lambda f: results.read_json(f / "x.json"),
+        lambda: [cell_files()[f"{_CELL}/cell.json"], b'{"a": [1, 2.5, null, "b"]}'],
+        mutate.JSON,
+    ),
+    "journal": Reader(
+        "events.jsonl", lambda f: _log(f / "events.jsonl"), journals, mutate.JSON_LINES
+    ),
+    "log_table": Reader("events.parquet", _log, event_tables, mutate.PARQUET),
+    "fit": Reader("events.jsonl", _fit, journals, mutate.JSON_LINES),
+    "fit_table": Reader(
+        "events.parquet", lambda f: _fit(f / "events.parquet"), event_tables, mutate.PARQUET
+    ),
+    "plan": Reader("two.plan.json", _plan, plans, mutate.JSON),
+}
+
+
+@functools.cache
+def _seeds(name: str) -> Sequence[bytes]:
+    return READERS[name].seeds()
+
+
+@functools.cache
+def _around(name: str) -> Mapping[str, bytes]:
+    return READERS[name].around()
+
+
+# -- cases -----------------------------------------------------------------------------------------
+
+
+def case(name: str, number: int) -> bytes:
+    """The changed file of a reader's case; number -1: a good one."""
+    seeds = _seeds(name)
+    if number < 0:
+        return seeds[0]
+    rng = np.random.default_rng([zlib.crc32(name.encode()), number])
+    data = mutate.pick(rng, READERS[name].mutators)(mutate.pick(rng, seeds), seeds, rng)
+    if rng.random() < 0.25:
+        data = mutate.pick(rng, mutate.BYTES)(data, seeds, rng)
+    return data
+
+
+def corpus(name: str) -> list[Path]:
+    """Files that once broke this reader, or are nasty by design."""
+    return sorted((CORPUS / name).glob("*"))
+
+
+def outcome(name: str, data: bytes, folder: Path) -> str:
+    """What comes of reading these bytes in an empty folder."""
+    reader = READERS[name]
+    files = {**_around(name), reader.name: data}
+    if name in ("cell_tasks", "cell_events"):
+        files |= {f"{_CELL}/cell.json": _sign(files)}
+    for file, content in files.items():
+        path = folder / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    try:
+        reader.read(folder)
+        said = "read"
+    except BadInput as error:
+        message = str(error)
+        said = "refused"
+        if not message.isprintable() or len(message) > LONGEST or not message:
+            said = f"not one line: {message!r}"
+        elif str(folder) not in message:
+            said = f"does not name the file: {message}"
+    except BaseException as error:
+        said = f"{type(error).__name__}: {str(error)[:300]}"
+    left = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file()}
+    if set(left) != set(files) or any(left[f].read_bytes() != files[f] for f in files):
+        said = f"files changed: {sorted(left)}"
+    return said
+
+
+def _sign(files: Mapping[str, bytes]) -> bytes:
+    """The cell's record, with the digests of its tables as they are now."""
+    record = json.loads(cell_files()[f"{_CELL}/cell.json"])
+    for table in results.CELL_FILES:
+        record["files"][table] = results.sha256(files[f"{_CELL}/{table}"])
+    return results.json_bytes(record)
+
+
+def fewer_resamples() -> None:
+    """A bootstrap of few samples: what is read does not depend on it."""
+    service_fit.BOOTSTRAP = 20
