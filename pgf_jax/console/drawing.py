@@ -16,7 +16,7 @@ _SQUARE = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 
 _HALVES = np.array([[0, 1, 2], [0, 2, 3]])
 _PAD = 32  # lines are sent in multiples of it: their buffers are seldom made anew
 CAPTION_HEIGHT, SMALLEST = 0.062, 0.125  # m of a shelf; units
-_AWAY = -100.0  # behind the camera's back
+_AWAY = -100.0  # in all three directions: out of sight
 _GHOST, _REFUSED = (31, 119, 220), (214, 39, 40)
 
 
@@ -86,7 +86,7 @@ class Drawing:
     def _show_ghost(self, frame: Frame, layout: Layout) -> np.ndarray:
         """The push that is being picked, as a ghost; [M, 2, 3] its arrow."""
         picked, cell = frame.picked, layout.large
-        centers, radii = np.array([[0, 0, _AWAY]]), np.ones(1)
+        centers, radii = np.full((1, 3), _AWAY), np.ones(1)
         color = np.array([_REFUSED if picked is not None and picked.problem else _GHOST])
         arrow = np.empty((0, 2, 3))
         if picked is not None and cell is not None and picked.object is not None and picked.target:
