@@ -20,9 +20,9 @@ import numpy as np
 import tyro
 from playwright.sync_api import Page, sync_playwright
 
-from pgf_jax.console import wall
+from pgf_jax.console import layout
+from pgf_jax.console.layout import Layout
 from pgf_jax.console.page import MARGIN
-from pgf_jax.console.wall import Layout
 from pgf_jax.scene import sample_scene
 
 FLAGS = (
@@ -102,14 +102,14 @@ def measure(page: Page, session: Path, options: Options) -> dict[str, Any]:
     assert cell is not None
     box = page.locator("canvas").first.bounding_box()
     assert box is not None
-    scale = box["height"] / max(wall.HEIGHT, wall.WIDTH * box["height"] / box["width"]) / MARGIN
+    scale = box["height"] / max(layout.HEIGHT, layout.WIDTH * box["height"] / box["width"]) / MARGIN
     before = sum(event["kind"] == "iteration" for event in events(session))
     page.evaluate(WATCH)
     for number in range(options.acts // 2):
         x, y = cell.place(scene.positions[number % len(scene.objects)])
         page.mouse.click(
-            box["x"] + box["width"] / 2 + scale * (x - wall.WIDTH / 2),
-            box["y"] + box["height"] / 2 - scale * (y - wall.HEIGHT / 2),
+            box["x"] + box["width"] / 2 + scale * (x - layout.WIDTH / 2),
+            box["y"] + box["height"] / 2 - scale * (y - layout.HEIGHT / 2),
         )
         page.wait_for_timeout(1e3 * options.seconds / options.acts)
         page.keyboard.press("Escape")

@@ -6,8 +6,9 @@ import numpy as np
 import viser
 
 from pgf_jax.console import wall
+from pgf_jax.console.layout import Layout
 from pgf_jax.console.session import Frame
-from pgf_jax.console.wall import Disks, Layout, Squares
+from pgf_jax.console.wall import Disks, Squares
 from pgf_jax.physics import hand
 from pgf_jax.scene.scene import RADIUS
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import viser
 
-from pgf_jax.console import wall
+from pgf_jax.console import layout
 from pgf_jax.console.desk import Desk, Word
 from pgf_jax.console.door import Bucket, Door
 from pgf_jax.console.drawing import Drawing
+from pgf_jax.console.layout import Layout
 from pgf_jax.console.session import Frame, Session
-from pgf_jax.console.wall import Layout
 from pgf_jax.errors import BadInput
 from pgf_jax.planning.types import Status
 
@@ -69,7 +69,7 @@ class Page:
         self._drawing = Drawing(server.scene, robots, n_objects)
         for name, value in (
             ("position", _eye(1.2)),
-            ("look_at", (wall.WIDTH / 2, wall.HEIGHT / 2, 0.0)),
+            ("look_at", (layout.WIDTH / 2, layout.HEIGHT / 2, 0.0)),
             ("up", (0.0, 1.0, 0.0)),
             ("fov", FOV),
         ):
@@ -105,14 +105,14 @@ class Page:
     def show(self, frame: Frame) -> None:
         """Show a frame to all clients."""
         served = frame.fleet.serving if frame.picked is None else frame.picked.robot
-        layout = Layout.of(self._robots, served)
+        shown = Layout.of(self._robots, served)
         with self.server.atomic():
-            self._drawing.show(frame, layout)
+            self._drawing.show(frame, shown)
             status = self._status_of(frame)
             if status != self._status.content:
                 self._status.content = status
             self._show_roles()
-        self._layout = layout
+        self._layout = shown
         self.server.flush()
 
     def _show_roles(self) -> None:
@@ -275,13 +275,13 @@ def _quiet() -> contextlib.AbstractContextManager:
 def _look(client: viser.ClientHandle) -> None:
     """Bring the whole poster into a client's view."""
     client.camera.position = _eye(client.camera.aspect)
-    client.camera.look_at = (wall.WIDTH / 2, wall.HEIGHT / 2, 0.0)
+    client.camera.look_at = (layout.WIDTH / 2, layout.HEIGHT / 2, 0.0)
 
 
 def _eye(aspect: float) -> tuple[float, float, float]:
     """Where the poster fills a canvas of that width over height."""
-    high = max(wall.HEIGHT, wall.WIDTH / max(aspect, 0.1)) * MARGIN
-    return wall.WIDTH / 2, wall.HEIGHT / 2, high / 2 / math.tan(FOV / 2)
+    high = max(layout.HEIGHT, layout.WIDTH / max(aspect, 0.1)) * MARGIN
+    return layout.WIDTH / 2, layout.HEIGHT / 2, high / 2 / math.tan(FOV / 2)
 
 
 def _on_poster(origin: Any, direction: Any) -> tuple[float, float] | None:

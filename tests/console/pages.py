@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from playwright.sync_api import sync_playwright
 
-from pgf_jax.console import wall
+from pgf_jax.console import layout
+from pgf_jax.console.layout import Cell, Layout
 from pgf_jax.console.page import MARGIN
-from pgf_jax.console.wall import Cell, Layout
 from pgf_jax.scene import Scene, sample_scene
 
 CHROMIUM = (
@@ -127,11 +127,11 @@ def click_shelf(page: Any, cell: Cell, place: np.ndarray) -> None:
     """Click where a place of a shelf (x, y; m) is drawn."""
     x, y = cell.place(np.asarray(place))
     box = page.locator("canvas").first.bounding_box()
-    units = max(wall.HEIGHT, wall.WIDTH * box["height"] / box["width"]) * MARGIN
+    units = max(layout.HEIGHT, layout.WIDTH * box["height"] / box["width"]) * MARGIN
     scale = box["height"] / units  # pixels a unit
     at = (
-        box["x"] + box["width"] / 2 + scale * (x - wall.WIDTH / 2),
-        box["y"] + box["height"] / 2 - scale * (y - wall.HEIGHT / 2),
+        box["x"] + box["width"] / 2 + scale * (x - layout.WIDTH / 2),
+        box["y"] + box["height"] / 2 - scale * (y - layout.HEIGHT / 2),
     )
     page.mouse.move(*at)
     page.wait_for_timeout(200)  # a hand is no faster; viser takes a leap for a drag
