@@ -53,7 +53,6 @@ class Frame:
     Attributes:
       fleet: the robots.
       picked: None while nobody is served by a person.
-      operated: somebody sits at the desk.
       running: the clock runs; False before its start and after the end.
       over: the session has ended.
       behind_s: wall time for which the clock has waited for the computer so far, s.
@@ -61,7 +60,6 @@ class Frame:
 
     fleet: FleetSnapshot
     picked: Picked | None
-    operated: bool
     running: bool
     over: bool
     behind_s: float
@@ -303,7 +301,6 @@ class Session:
         frame = Frame(
             self.play.watch.snapshot(time_ns),
             picked,
-            desk.operator is not None,
             self.clock.running,
             over,
             self.clock.held_s,

@@ -15,6 +15,7 @@ from pgf_jax.study.event_log import JOURNAL, TABLE, EventLog, Journal, read_log
 from pgf_jax.study.manifest import environment
 from pgf_jax.study.play import Play
 from pgf_jax.study.recording import LIVE, Recording, agreed, compare, replaying, settings_of
+from pgf_jax.study.sweep_config import Cell
 from pgf_jax.study.sweep_setup import Setup, identity, prepare
 
 log = logging.getLogger(__name__)
@@ -56,17 +57,18 @@ class Setting:
                     raise BadInput(
                         f"out: {config.out / name} exists; expected a new folder, or --resume"
                     )
-        if config.log is not None:
-            config = _as_recorded(config, read_log(config.log), _OF_A_SERVER + _OF_PEOPLE)
-        sweep = config.sweep()
-        if sweep.log is not None:
-            sweep = replaying(sweep, read_log(sweep.log))
+        if config.log is None:
+            sweep = config.sweep()
+        else:
+            recorded = read_log(config.log)
+            config = _as_recorded(config, recorded, _OF_A_SERVER + _OF_PEOPLE)
+            sweep = replaying(config.sweep(), recorded)
         setting = cls(config, prepare(sweep), earlier)
         setting._check_earlier()
         return setting
 
     @property
-    def cell(self):
+    def cell(self) -> Cell:
         """The fleet's policy and sizes."""
         return self.setup.config.cells()[0]
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.simulator import Fleet
+from pgf_jax.guidance.operators import AnyOperator
 from pgf_jax.study.computer import Computer, Queue, computer
 from pgf_jax.study.crew import Crew, Robot
 from pgf_jax.study.event_log import EventLog, read_log
@@ -39,7 +40,7 @@ class Play:
         cell: Cell,
         *,
         new_fleet: Callable[[Crew], Fleet] | None = None,
-        operator=None,
+        operator: AnyOperator | None = None,
         on_task_end: Callable[[int, Robot], None] | None = None,
     ) -> "Play":
         """The fleet of a cell.

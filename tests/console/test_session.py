@@ -123,7 +123,6 @@ def test_what_there_is_to_see(whole):
     assert all(len(robot.done) == 2 for robot in last.fleet.robots)
     for frame in frames:
         if frame.picked is not None:
-            assert frame.operated
             assert frame.picked.robot == frame.fleet.serving
 
 
@@ -133,7 +132,7 @@ def test_what_there_is_to_see(whole):
 def test_the_clock_starts_when_an_operator_has_come(tmp_path):
     with Person(toy(tmp_path)) as person:
         person.wait(lambda: len(person.frames) >= 2)
-        assert not any(frame.running or frame.operated for frame in person.frames)
+        assert not any(frame.running for frame in person.frames)
         assert person.frames[-1].fleet.time_ns == 0
         word = person.act(lambda desk: desk.go_on(ME))
         assert (word.text, word.ok) == ("Nobody operates; you watch.", False)
