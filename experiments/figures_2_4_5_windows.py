@@ -102,8 +102,8 @@ def figure5(config: SweepConfig, outcome: SweepResult) -> dict[str, Any]:
       BadInput: no window fits `RULE`.
     """
     cell = config.cells()[0]
-    events = results.event_log(results.read_cell(config.out, cell)[1])
-    record = results.read_json(results.cell_folder(config.out, cell) / results.CELL_RECORD)
+    content = outcome.cell(cell)
+    events = results.event_log(content.events)
     found = windows(events)
     fitting = [window for window in found if window.fits(events)]
     if not fitting:
@@ -117,7 +117,7 @@ def figure5(config: SweepConfig, outcome: SweepResult) -> dict[str, Any]:
     tasks = outcome.tasks()
     return {
         "rule": RULE,
-        "networks": record["identity"]["predictors"],
+        "networks": content.about["identity"]["predictors"],
         "sweep": {
             "robots": cell.robots,
             "tasks_each": cell.tasks,

@@ -30,6 +30,7 @@ from pgf_jax.fleet.identities import verify
 from pgf_jax.fleet.metrics import NS_PER_HOUR, Interval, mean_interval, summarise
 from pgf_jax.guidance.tables import write_atomically
 from pgf_jax.study import results
+from pgf_jax.study.sweep import SweepResult
 from pgf_jax.study.sweep_setup import prepare
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -108,9 +109,9 @@ def compute(name: str, runs: Sequence[Run], out: Path, raw: Path = RAW) -> None:
     frames: dict[int, list[dict]] = {}
     for number, batch in enumerate(batches, 1):
         console.print(f"{name}: part {number} of {len(batches)}, {len(batch)} sweeps")
-        sweeps([configs[i] for i in batch], quiet=False, tables=False)
-        for i in batch:
-            frames[i] = [dict(runs[i].labels) | row for row in rows_of(configs[i])]
+        outcomes = sweeps([configs[i] for i in batch], quiet=False, tables=False)
+        for i, outcome in zip(batch, outcomes, strict=True):
+            frames[i] = [dict(runs[i].labels) | row for row in rows_of(configs[i], outcome)]
     rows = [row for i in range(len(runs)) for row in frames[i]]
     table = pl.DataFrame(rows, infer_schema_length=None)
     write_atomically(out / f"{name}.csv", results.csv(table))
@@ -124,16 +125,20 @@ def read(name: str, out: Path) -> pl.DataFrame:
     return pl.read_csv(path, infer_schema_length=None)
 
 
-def rows_of(config: SweepConfig) -> list[dict]:
+def rows_of(config: SweepConfig, outcome: SweepResult) -> list[dict]:
     """The rows of a finished sweep; the sample-path identities hold in each of its fleets.
+
+    Args:
+      config: of the sweep.
+      outcome: of that sweep.
 
     Raises:
       ValueError: one does not.
     """
     rows = []
     for cell in config.cells():
-        tasks, events = results.read_cell(config.out, cell)
-        records, log = results.task_records(tasks), results.event_log(events)
+        content = outcome.cell(cell)
+        records, log = results.task_records(content.tasks), results.event_log(content.events)
         fleet = config.fleet(cell)
         identities = verify(fleet, records, log)
         spent = attention(fleet, records, log).row()

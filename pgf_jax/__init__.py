@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from pgf_jax.study.sweep import sweep as sweep
     from pgf_jax.study.sweep import sweeps as sweeps
     from pgf_jax.study.sweep_config import SweepConfig as SweepConfig
+    from pgf_jax.study.verify import verify as verify
+    from pgf_jax.study.verify_config import VerifyConfig as VerifyConfig
 
 _MODULES = {
     "BadInput": "errors",
@@ -47,6 +49,7 @@ _MODULES = {
     "Status": "planning.types",
     "SweepConfig": "study.sweep_config",
     "TrainConfig": "guidance.train_config",
+    "VerifyConfig": "study.verify_config",
     "collect": "study.collect",
     "load_plan": "study.plan_file",
     "load_scene": "scene.mjcf",
@@ -57,6 +60,7 @@ _MODULES = {
     "sweep": "study.sweep",
     "sweeps": "study.sweep",
     "train": "guidance.training",
+    "verify": "study.verify",
 }
 
 __all__ = list(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -18,17 +18,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from tyro import _errors as tyro_errors
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, Lost
 from pgf_jax.guidance.train_config import TrainConfig
 
 if TYPE_CHECKING:
     from pgf_jax.console.config import ConsoleConfig
     from pgf_jax.study.collect_config import CollectConfig
-    from pgf_jax.study.plan_config import PlanCommand
-    from pgf_jax.study.plan_file import Plan
 
 PROG = "pgf-jax"
-BAD_INPUT, INTERRUPTED = 2, 130
+LOST, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,13 +68,15 @@ def main(argv: Sequence[str] | None = None) -> int:
       argv: arguments without the program's name; those of the process if None.
 
     Returns:
-      The exit code: 0, 2 for bad input, 130 when interrupted.
+      The exit code: 0, 2 for bad input, 1 when what computes was lost, 130 when interrupted.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
         return _main(arguments)
     except BadInput as error:
         return _fail(" ".join(str(error).splitlines()), BAD_INPUT)
+    except Lost as error:
+        return _fail(str(error), LOST)
     except KeyboardInterrupt as error:
         return _fail(str(error) or "interrupted", INTERRUPTED)
     except BrokenPipeError:  # whoever read our output (`| head`) has read enough
@@ -213,60 +213,10 @@ def _keep_compiled() -> None:
 # --- commands -----------------------------------------------------------------------------------
 
 
-def _plan(command: "PlanCommand") -> None:
-    from pgf_jax.scene import load_scene, sample_scene
+def _plan(command: Any) -> None:
+    from pgf_jax.study.plan_run import run
 
-    seeds = range(command.seed, command.seed + command.count)
-    if command.preset is not None:
-        scenes = [(sample_scene(seed, command.preset), seed) for seed in seeds]
-    else:
-        scenes = [(load_scene(path), command.seed) for path in command.scene]
-    names = [scene.name for scene, _ in scenes]
-    for name in names:
-        if names.count(name) > 1:
-            raise BadInput(f"--scene: expected scenes of different names, got {name} twice")
-    if command.out is not None:
-        _make_folder(command.out)
-
-    from pgf_jax.study.plan import plan_scenes
-    from pgf_jax.study.plan_file import save_plan
-    from pgf_jax.study.progress import Progress
-
-    done = 0
-
-    def planned(plan: "Plan") -> None:
-        nonlocal done
-        done += 1
-        if command.out is not None:
-            save_plan(command.out, plan)
-        progress.update(done, len(scenes))
-
-    with Progress("scenes", every_s=None) as progress:
-        progress.update(0, len(scenes))
-        plans = plan_scenes(scenes, command.config, on_plan=planned)
-    _show_plans(plans, command)
-
-
-def _show_plans(plans: "list[Plan]", command: "PlanCommand") -> None:
-    rows = [
-        (
-            plan.scene.name,
-            str(plan.status),
-            str(plan.iterations),
-            f"{plan.planning_time_s:.1f}",
-            f"{plan.cost['total']:.2f}",
-            str(plan.pushes),
-        )
-        for plan in plans
-    ]
-    _table(("scene", "status", "iterations", "planning time (s)", "cost", "pushes"), rows)
-    config = command.config
-    solved = sum(plan.solved for plan in plans)
-    where = "" if command.out is None else f"; plans in {command.out}"
-    print(
-        f"{solved} of {len(plans)} solved; engine {config.engine}, physics {config.physics}, "
-        f"lanes {config.lanes}{where}"
-    )
+    run(command)
 
 
 def _sweep(config: Any) -> None:
@@ -278,9 +228,21 @@ def _sweep(config: Any) -> None:
         raise SystemExit(INTERRUPTED) from None  # it has said what is kept
 
 
+def _verify(config: Any) -> None:
+    from pgf_jax.study.verify import run
+
+    run(config)
+
+
+def _reproduce(config: Any) -> None:
+    from pgf_jax.study.reproduce_run import run
+
+    run(config)
+
+
 def _collect(config: "CollectConfig") -> None:
     from pgf_jax.study.collect import collect
-    from pgf_jax.study.progress import Progress, clock
+    from pgf_jax.study.progress import Progress, clock, show_table
 
     try:
         with Progress("tasks" if config.log else "scenes") as progress:
@@ -292,7 +254,7 @@ def _collect(config: "CollectConfig") -> None:
             else "interrupted; the runs that had ended are kept, and --resume goes on from them"
         ) from None
     mix = ", ".join(f"{count} {name}" for name, count in done.by_class.items())
-    _table(
+    show_table(
         ("tasks" if config.log else "scenes", "with data", "of", "solved", "iterations", "inputs"),
         [
             (
@@ -310,6 +272,7 @@ def _collect(config: "CollectConfig") -> None:
 
 def _train(command: TrainCommand) -> None:
     from pgf_jax.guidance.training import train
+    from pgf_jax.study.progress import show_table
 
     report = train(command.data, command.out, command.config)
     networks = [name for name in report if name != "files"]
@@ -317,7 +280,7 @@ def _train(command: TrainCommand) -> None:
     figures = ("loss_train", "loss_val", "target_std_val")  # in units of the target
     rows = [(name, *(str(report[network][name]) for network in networks)) for name in counts]
     rows += [(name, *(f"{report[network][name]:.2f}" for network in networks)) for name in figures]
-    _table(("", *networks), rows)
+    show_table(("", *networks), rows)
     print("\n".join(report["files"]))
 
 
@@ -351,26 +314,6 @@ def _console(config: "ConsoleConfig") -> None:
     console(config)
 
 
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table()
-    for i, heading in enumerate(headings):
-        numbers = i > 0 and all(row[i][:1].isdigit() for row in rows)
-        table.add_column(heading, justify="right" if numbers else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"--out {path}: expected a folder to write to ({error.strerror})") from None
-
-
 COMMANDS = {
     "plan": Command(
         "plan scenes, and write the plans", "pgf_jax.study.plan_config:PlanCommand", _plan
@@ -379,6 +322,16 @@ COMMANDS = {
         "simulate fleets under several policies and sizes",
         "pgf_jax.study.sweep_config:SweepConfig",
         _sweep,
+    ),
+    "verify": Command(
+        "check a sweep's results, and compute some of its cells again",
+        "pgf_jax.study.verify_config:VerifyConfig",
+        _verify,
+    ),
+    "reproduce": Command(
+        "compute one iteration of a sweep again, to see what its rollouts did",
+        "pgf_jax.study.reproduce_config:ReproduceConfig",
+        _reproduce,
     ),
     "console": Command(
         "guide a fleet from a browser, in real time",

@@ -14,6 +14,16 @@ class BadInput(ValueError):
         super().__init__(_one_line(str(message)))
 
 
+class Lost(RuntimeError):
+    """What computes has gone, through no fault of the input; the command line exits with code 1.
+
+    The message says so in one line, and what is kept.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(_one_line(str(message)))
+
+
 def shown(value: object, most: int = 60) -> str:
     """`repr` for a message: one line, not longer than `most`, whatever the value is."""
     try:

@@ -1,5 +1,6 @@
 """Files that may be anything: read whole, within limits, or not at all."""
 
+import contextlib
 import json
 import os
 import stat
@@ -69,6 +70,16 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):
         return False
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the names of a folder's files on the disk, as their content is after `os.fsync`."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # some file systems cannot, and need not
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def parse_json(data: bytes | str) -> Any:

@@ -57,8 +57,8 @@ def process(*arguments: object) -> subprocess.CompletedProcess:
 ARGUMENTS = {
     "no command": (
         [],
-        "command: expected one of plan, sweep, console, collect, train, fit-operator, profile, "
-        "render, got none",
+        "command: expected one of plan, sweep, verify, reproduce, console, collect, train, "
+        "fit-operator, profile, render, got none",
     ),
     "command": (["plane"], "got 'plane'"),
     "robots": (["console", "--robots", "0"], "--robots: expected a whole number within 1..100"),
@@ -128,6 +128,20 @@ ARGUMENTS = {
     ),
     "sweep": (["sweep", "--robots", "-1"], "robots"),
     "sweep preset": (["sweep", "--preset", "x"], "--preset: expected one of paper, quick, got 'x'"),
+    "scheduler": (
+        ["sweep", "--scheduler", "there"],
+        "--scheduler: expected tcp://HOST:PORT (or tls://), or slurm:N with N workers, got 'there'",
+    ),
+    "scheduler and workers": (
+        ["sweep", "--scheduler", "slurm:4", "--workers", "2"],
+        "--workers: expected none beside a scheduler, which has its own, got 2",
+    ),
+    "verify what": (["verify"], "options missing: folder"),
+    "verify": (["verify", "nothing"], "nothing: holds no results of a sweep (no folder cells)"),
+    "verify cells": (
+        ["verify", "x", "--cells", "-1"],
+        "--cells: expected a whole number 0 or more, got -1",
+    ),
     "training": (
         ["train", "--data", "x", "--out", "y", "--batch", "0"],
         "batch must be at least 1",

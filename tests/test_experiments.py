@@ -3,10 +3,13 @@
 import importlib
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
 import pytest
+
+from pgf_jax.study.sweep_config import SweepConfig
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 STORED = EXPERIMENTS / "results"
@@ -18,7 +21,6 @@ def scripts(monkeypatch):
     """Scripts import one another by name."""
     monkeypatch.syspath_prepend(str(EXPERIMENTS))
     monkeypatch.setenv("NPROC", "1")  # `study_runs` sets it otherwise, for the tests after it too
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "unused: JAX has read it")
 
 
 @pytest.mark.parametrize("study", STUDIES)
@@ -58,6 +60,31 @@ def test_illustrations_are_drawn_from_the_stored_data(number):
     figure = drawing.FIGURES[number](content)
     panels = len(content["bidders"]) if number == 5 else 2
     assert sum(axes.get_aspect() == 1 for axes in figure.axes) == panels
+
+
+def test_rows_come_from_the_cells_of_a_sweep(tmp_path, capsys):
+    runs = importlib.import_module("study_runs")
+    config = SweepConfig(
+        engine="planar",
+        policies=("autonomous", "or-hitl"),
+        robots=(1, 2),
+        tasks=1,
+        operator="none",
+        horizon=8.0,
+    )
+    some = [runs.Run({"what": f"seed {seed}"}, replace(config, seed=seed)) for seed in (3, 4)]
+    for _ in range(2):  # the second time all is there
+        runs.compute("x", some, tmp_path, tmp_path / "raw")
+        rows = runs.read("x", tmp_path)
+        assert rows.select("what", "seed", "policy", "robots").rows() == [
+            (f"seed {seed}", seed, policy, robots)
+            for seed in (3, 4)
+            for policy in ("autonomous", "or-hitl")
+            for robots in (1, 2)
+        ]
+        assert rows["robot_hours"].to_list() == pytest.approx([8 / 3600, 16 / 3600] * 4)
+        assert (rows["identities"] == 18 + 3 * rows["robots"] + 2 * rows["robots"]).all()
+    assert capsys.readouterr().err.count("kept: ") == 1
 
 
 def test_intervals_are_over_seeds():

@@ -12,8 +12,8 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Fleet
 from pgf_jax.study.crew import Crew
 from pgf_jax.study.event_log import JOURNAL, TABLE, EventLog, Journal, read_log
-from pgf_jax.study.manifest import environment
 from pgf_jax.study.play import Play
+from pgf_jax.study.provenance import environment
 from pgf_jax.study.recording import LIVE, Recording, agreed, compare, replaying, settings_of
 from pgf_jax.study.sweep_config import Cell
 from pgf_jax.study.sweep_setup import Setup, identity, prepare

@@ -53,7 +53,8 @@ class CellSummary:
       first_bid, first_grant: reach iteration of each, over the tasks that have one.
       every_grant, every_successful_grant: reach iteration, over all grants (whose push succeeded).
       requests, answered, grants, refusals, expired: totals.
-      pushes_planned, pushes_succeeded, non_finite: totals.
+      pushes_planned, pushes_succeeded, non_finite, saturated: totals; the last two count iterations
+        with a cost that was not finite, and rollouts with every contact slot in use.
       utilisation: busy share of the operators' time.
       windows, window_size_mean, window_size_max: windows closed; bids in them at their close.
     """
@@ -89,6 +90,7 @@ class CellSummary:
     pushes_planned: int
     pushes_succeeded: int
     non_finite: int
+    saturated: int
     utilisation: float
     windows: int
     window_size_mean: float
@@ -172,6 +174,7 @@ def summarise(
         pushes_planned=total("pushes_planned"),
         pushes_succeeded=total("pushes_succeeded"),
         non_finite=total("non_finite"),
+        saturated=total("saturated"),
         utilisation=(busy_ns(events) / (config.operators * elapsed_ns) if elapsed_ns else math.nan),
         windows=len(sizes),
         window_size_mean=float(np.mean(sizes)) if sizes else math.nan,

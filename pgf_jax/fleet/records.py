@@ -62,6 +62,8 @@ class TaskRecord:
       cost, terms: total and (c_d, c_f, c_b) of the best reach trajectory after the last reach
         iteration that has ended; nan before the first.
       non_finite: iterations in which some rollout's cost was not finite.
+      non_finite_at: which, in order: numbers as in `Work`, those of ITERATION events.
+      saturated: rollouts with a knot end at which every contact slot was in use.
     """
 
     robot: int
@@ -92,6 +94,8 @@ class TaskRecord:
     cost: float
     terms: tuple[float, float, float]
     non_finite: int
+    non_finite_at: tuple[int, ...]
+    saturated: int
 
 
 @dataclasses.dataclass
@@ -130,7 +134,8 @@ class Run:
     helped_cost: list[float] = dataclasses.field(default_factory=list)
     helped_until: int = 0  # reach iterations that still count for the last entry of `helped_cost`
     last_reach: IterationResult | None = None
-    non_finite: int = 0
+    non_finite_at: list[int] = dataclasses.field(default_factory=list)
+    saturated: int = 0
 
     def __post_init__(self) -> None:
         self.since_ns = self.start_ns
@@ -147,6 +152,9 @@ class Run:
 
     def count(self, result: IterationResult) -> None:
         """Book an iteration that has ended."""
+        if result.non_finite:
+            self.non_finite_at.append(self.work_iterations)
+        self.saturated += result.saturated
         self.work_iterations += 1
         if self.nominal_done:
             self.iterations += 1
@@ -154,7 +162,6 @@ class Run:
             self.since_restart += self.push is None
         self.nominal_done = True
         self.stuck = result.stuck
-        self.non_finite += result.non_finite
         if self.push is None:
             self.last_reach = result
             if self.helped_cost and self.reach_iterations <= self.helped_until:
@@ -231,5 +238,7 @@ class Run:
             helped_cost=tuple(self.helped_cost),
             cost=self.last_reach.cost if self.last_reach else math.nan,
             terms=self.last_reach.terms if self.last_reach else NO_TERMS,
-            non_finite=self.non_finite,
+            non_finite=len(self.non_finite_at),
+            non_finite_at=tuple(self.non_finite_at),
+            saturated=self.saturated,
         )

@@ -51,6 +51,8 @@ class IterationResult:
       terms: (c_d, c_f, c_b) of the best trajectory so far; pushing: (c_h, c_f, c_b).
       cost: total cost of the best trajectory so far.
       non_finite: some rollout's cost was not finite.
+      saturated: rollouts with a knot end at which every contact slot was in use, so that contacts
+        may have been left out.
     """
 
     feasible: bool
@@ -59,6 +61,7 @@ class IterationResult:
     terms: tuple[float, float, float]
     cost: float
     non_finite: bool = False
+    saturated: int = 0
 
 
 Result = IterationResult | Push | NoInput | None  # of a piece of work, by its kind

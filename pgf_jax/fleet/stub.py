@@ -22,9 +22,11 @@ def outcome(
     gain: float = math.nan,
     cost: float = 100.0,
     non_finite: bool = False,
+    saturated: int = 0,
 ) -> IterationResult:
     """An iteration's result whose cost is all reach cost."""
-    return IterationResult(feasible, stuck, gain, (cost, 0.0, 0.0), cost, non_finite)
+    terms = (cost, 0.0, 0.0)
+    return IterationResult(feasible, stuck, gain, terms, cost, non_finite, saturated)
 
 
 class StubRobots:

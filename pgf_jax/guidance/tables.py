@@ -10,10 +10,11 @@ from typing import Any
 import polars as pl
 
 from pgf_jax.errors import BadInput
-from pgf_jax.files import MIB, parse_json, read_file
+from pgf_jax.files import MIB, parse_json, read_file, sync_folder
 from pgf_jax.guidance.decoder import Undecodable, decode
 
 PROVENANCE = "pgf_jax"  # key of the settings in a file's metadata
+TEMPORARY = ".tmp"  # ends the names of files that are being written
 LARGEST = 512 * MIB  # of a table's file; a sweep of 1000 robots takes some 100
 
 
@@ -28,10 +29,15 @@ def write_table(path: Path | str, frame: pl.DataFrame, about: Mapping[str, Any] 
     Raises:
       BadInput: it cannot be written there.
     """
+    write_atomically(path, encode_table(frame, about))
+
+
+def encode_table(frame: pl.DataFrame, about: Mapping[str, Any] | None = None) -> bytes:
+    """The file that `write_table` writes."""
     buffer = io.BytesIO()
     metadata = None if about is None else {PROVENANCE: json.dumps(about, sort_keys=True)}
     frame.write_parquet(buffer, metadata=metadata)
-    write_atomically(path, buffer.getvalue())
+    return buffer.getvalue()
 
 
 def read_table(path: Path | str, schema: Mapping[str, pl.DataType], what: str) -> pl.DataFrame:
@@ -107,18 +113,25 @@ def check_columns(
 def write_atomically(path: Path | str, data: bytes) -> None:
     """Write a file whole or not at all, making its folder where needed.
 
+    It is on the disk when this returns, and so is its name: neither a crash of the process nor one
+    of the machine leaves a part of it.
+
     Raises:
       BadInput: it cannot be written there.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            temporary.write_bytes(data)
+            with open(temporary, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
+        sync_folder(path.parent)
     except (OSError, ValueError) as error:  # a name that no file can have is a ValueError
         reason = getattr(error, "strerror", None) or error
         raise BadInput(f"{path}: cannot be written ({reason})") from error

@@ -41,6 +41,18 @@ class Search(NamedTuple):
     saturated: Array  # [] int32, rollouts with a knot end at which no contact slot was free
 
 
+class Rolled(NamedTuple):
+    """All that one iteration of one search rolls out.
+
+    R is K: the noisy trajectories; 1 at iteration 0: the nominal; with the update `stomp` one more,
+    the last: their blend.
+    """
+
+    controls: Array  # [R, T, 3]
+    rollout: Rollout  # [R, T, N, 2] and so on
+    value: Evaluation  # [R] and so on
+
+
 class BatchPlanner:
     """Plans for up to L robots in one call; no lane's content changes another lane's result."""
 
@@ -51,6 +63,7 @@ class BatchPlanner:
         self._propose = jax.jit(jax.vmap(self._propose_one))
         self._absorb = jax.jit(jax.vmap(self._absorb_one))
         self._blend = jax.jit(jax.vmap(self._blend_one))
+        self._value = jax.jit(jax.vmap(self._evaluate))
         self._retreat = jax.jit(jax.vmap(self._retreat_one))
 
     # -- segments ---------------------------------------------------------------------------------
@@ -96,6 +109,36 @@ class BatchPlanner:
         Returns:
           The searches after the iteration, in order.
         """
+        return self._iterate(searches, keys)[0]
+
+    def rolled(self, search: Search, key: np.ndarray) -> tuple[Search, Rolled]:
+        """One iteration of one search, and all that it rolls out.
+
+        Args:
+          search: a segment.
+          key: raw PRNG key ([2] uint32); consumed.
+
+        Returns:
+          The search after it, as `step` returns it, bit for bit; and the rollouts that it was made
+          from. Their values are evaluated by a program of their own, so in the last bit they may
+          differ from those that the iteration went by.
+        """
+        (after,), rounds = self._iterate([search], [key])
+        batch = _stack(_pad([search], self.engine.lanes))
+        asked = slice(1 if search.iteration < 0 else None)  # the nominal is wanted once
+        parts = [
+            jax.tree.map(
+                lambda x: np.asarray(x)[0, asked],
+                Rolled(controls, rollout, self._value(batch, rollout)),
+            )
+            for controls, rollout in rounds
+        ]
+        return after, jax.tree.map(lambda *xs: np.concatenate(xs), *parts)
+
+    def _iterate(
+        self, searches: Sequence[Search], keys: Sequence[np.ndarray]
+    ) -> tuple[list[Search], list[tuple[Array, Rollout]]]:
+        """The searches after an iteration; and [L, k, T, 3] controls, rollouts of each round."""
         lanes, k = self.engine.lanes, self.config.rollouts
         batch = _stack(_pad(searches, lanes))
         padded_keys = np.stack(_pad(keys, lanes))  # [L, 2]
@@ -104,15 +147,17 @@ class BatchPlanner:
         used = np.arange(lanes) < len(searches)
         once = (np.asarray(batch.iteration)[:, None] >= 0) | (np.arange(k) == 0)
         rollout = self._roll(batch, noisy, used[:, None] & once)
+        rounds = [(noisy, rollout)]
         if self.config.update == "stomp":
             batch, blended = self._blend(batch, noisy, rollout)  # [L, 1, T, 3]
             winner = self._roll(batch, blended, used[:, None])
+            rounds.append((blended, winner))
             after = self._absorb(batch, blended, winner)
         elif self.config.random_winner:
             after = self._absorb(batch, noisy, rollout, padded_keys)
         else:
             after = self._absorb(batch, noisy, rollout)
-        return _unstack(_to_host(after), len(searches))
+        return _unstack(_to_host(after), len(searches)), rounds
 
     def retreat(self, searches: Sequence[Search]) -> list[World]:
         """The worlds after each push was executed and the hand has retracted 0.07 m straight back.

@@ -33,7 +33,7 @@ from pgf_jax.study import collect_run
 from pgf_jax.study.collect_config import CollectConfig
 from pgf_jax.study.collect_run import PARTS
 from pgf_jax.study.collect_sessions import replay_sessions
-from pgf_jax.study.manifest import environment
+from pgf_jax.study.provenance import environment
 from pgf_jax.study.results import json_bytes
 
 SETTINGS = "collect.json"

@@ -5,11 +5,12 @@ Robots, operators that try pushes, and forks ask in the form of deliberations (`
 shares a call (D8).
 """
 
+import contextlib
 import copy
 import functools
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -30,7 +31,7 @@ from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import Engine, make_engine
 from pgf_jax.planning.config import Cost
 from pgf_jax.planning.config import Planner as PlannerConfig
-from pgf_jax.planning.planner import BatchPlanner, Search
+from pgf_jax.planning.planner import BatchPlanner, Rolled, Search
 from pgf_jax.study.checks import Planning
 
 
@@ -48,6 +49,9 @@ class Computer:
         self.steps = 0  # iterations computed
         self.calls = 0  # iteration calls made
         self.lanes_used = 0  # lanes in them that held work
+        self.seconds = 0.0  # of the wall clock spent in `compute`
+        self.answering_s = 0.0  # that, and what was thought between requests (`crew.drive`)
+        self.warm: list[bool] = []  # shared by copies: whether its programs are compiled
         self.saturated = 0  # rollouts in which contacts may have been dropped (no slot left)
         self._keys = jax.jit(jax.vmap(_key))
 
@@ -67,6 +71,13 @@ class Computer:
 
         A `Gain` gives a float.
         """
+        start = time.perf_counter()
+        try:
+            return self._compute(requests)
+        finally:
+            self.seconds += time.perf_counter() - start
+
+    def _compute(self, requests: Sequence[Request]) -> list[Any]:
         results: list[Any] = [None] * len(requests)
         asked: dict[int, list[int]] = {}  # predictor -> who asked for its gain
         for i, request in enumerate(requests):
@@ -90,14 +101,20 @@ class Computer:
                 results[i] = search
         return results
 
+    def rolled(self, step: Step) -> tuple[Search, Rolled]:
+        """An iteration, and all that it rolls out; to look at it again, so it counts nowhere."""
+        return self.planner.rolled(step.search, self._keys_of([step])[0])
+
     def _iterate(self, steps: Sequence[Step]) -> list[Any]:
         self.calls += 1
         self.steps += len(steps)
         self.lanes_used += len(steps)
+        return self.planner.step([step.search for step in steps], self._keys_of(steps))
+
+    def _keys_of(self, steps: Sequence[Step]) -> list[np.ndarray]:
         words = [step.words for step in steps]
         words += [words[0]] * (self.engine.lanes - len(steps))
-        keys = np.asarray(self._keys(np.array(words, np.uint32)))[: len(steps)]
-        return self.planner.step([step.search for step in steps], list(keys))
+        return list(np.asarray(self._keys(np.array(words, np.uint32)))[: len(steps)])
 
 
 class _Job:
@@ -127,6 +144,8 @@ class Queue:
         self._computer = computer
         self._steps: deque[Asked] = deque()
         self._others: list[Asked] = []
+        self.seconds = 0.0  # of the wall clock spent in it, what is thought between requests too
+        self._clocking = False
 
     def __len__(self) -> int:
         """Requests in line."""
@@ -134,13 +153,27 @@ class Queue:
 
     def add(self, deliberation: Deliberation, done: Callable[[Any], None]) -> None:
         """Start a deliberation; `done` is called with its result, perhaps at once."""
-        self._resume(_Job(deliberation, done), None)
+        with self._clocked():
+            self._resume(_Job(deliberation, done), None)
 
     def round(self) -> None:
         """One call's worth of iterations, and what else is asked meanwhile."""
-        self._answer(self.take_steps())
-        while self._others:  # gains of the iterations just made, say
-            self._answer(self.take_others())
+        with self._clocked():
+            self._answer(self.take_steps())
+            while self._others:  # gains of the iterations just made, say
+                self._answer(self.take_others())
+
+    @contextlib.contextmanager
+    def _clocked(self) -> Iterator[None]:
+        """Counts towards `seconds`; deliberations start others, which counts once."""
+        start = None if self._clocking else time.perf_counter()
+        self._clocking = True
+        try:
+            yield
+        finally:
+            if start is not None:
+                self.seconds += time.perf_counter() - start
+                self._clocking = False
 
     def take_steps(self) -> list[Asked]:
         """Take one call's worth of iterations off the line, for `tell`."""
@@ -210,12 +243,20 @@ class Queue:
 
 
 def warm_up(computer: Computer, search: Search, seed: int) -> float:
-    """One iteration for nobody, so that its compilation is not mistaken for its time; s."""
-    start = time.perf_counter()
+    """One iteration for nobody, so that its compilation is not mistaken for its time.
+
+    Returns:
+      What it took, s: 0 where a computer of this kind has been warmed up before.
+    """
+    if computer.warm:
+        return 0.0
     computer.compute([Step(search, own_words(seed, 0, 0, 0)(0))])
+    seconds = computer.seconds
+    computer.warm.append(True)
     computer.occupancy()
     computer.steps = computer.saturated = 0
-    return time.perf_counter() - start
+    computer.seconds = 0.0
+    return seconds
 
 
 def planning_computer(config: Planning, n_objects: int) -> Computer:

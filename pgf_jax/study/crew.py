@@ -158,6 +158,7 @@ class Crew:
             terms=(c_d, c_f, c_b),
             cost=float(after.value.total),
             non_finite=bool(after.non_finite > before.non_finite),
+            saturated=int(after.saturated - before.saturated),
         )
         r.log.add(result.terms, feasible=result.feasible)
         return result
@@ -283,6 +284,7 @@ def drive(
                 going.append(pair)
         running = going
         if not running:
+            computer.answering_s += queue.seconds
             return iterations
         queue.round()
         if on_round is not None:

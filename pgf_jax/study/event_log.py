@@ -292,11 +292,6 @@ class Journal:
             self._file.truncate(keep)
             self._file.seek(keep)
             os.fsync(self._file.fileno())
-            folder = os.open(path.parent, os.O_RDONLY)  # the file's name is to be there, too
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
 
     def append(self, events: Sequence[Event]) -> None:
         """Write events; they are on the disk when this returns.

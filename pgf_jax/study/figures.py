@@ -1,8 +1,9 @@
 """Figures of a sweep."""
 
 import io
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+import json
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -54,10 +55,11 @@ def figure6(summaries: Sequence[CellSummary]) -> "Figure":
     return figure
 
 
-def png(figure: "Figure") -> bytes:
-    """The figure as a PNG file; the same figure gives the same bytes."""
+def png(figure: "Figure", about: Mapping[str, Any] | None = None) -> bytes:
+    """The figure as a PNG file, with where it comes from; the same one gives the same bytes."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150)
+    text = {} if about is None else {"Description": json.dumps(about, sort_keys=True)}
+    figure.savefig(buffer, format="png", dpi=150, metadata=text)
     return buffer.getvalue()
 
 

@@ -4,7 +4,7 @@ import contextlib
 import multiprocessing
 import signal
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -59,7 +59,7 @@ def run_in_processes(
     """
     context = multiprocessing.get_context("spawn")  # JAX's threads do not survive a fork
     stop = context.Event()
-    settings = {name: getattr(jax.config, name) for name in _JAX_SETTINGS}
+    settings = jax_settings()
     available = usable()
     processes, pending, results = [], {}, []
     try:
@@ -70,7 +70,7 @@ def run_in_processes(
             process = context.Process(
                 target=_work, args=(target, part, theirs, stop, settings, pinned), daemon=True
             )
-            with _uninterruptible():
+            with uninterruptible():
                 process.start()
             theirs.close()  # so that its end is seen here as the end of the file
             processes.append(process)
@@ -94,8 +94,20 @@ def run_in_processes(
     return results
 
 
+def jax_settings() -> dict[str, Any]:
+    """JAX's settings here that a new process takes over."""
+    return {name: getattr(jax.config, name) for name in _JAX_SETTINGS}
+
+
+def take_over(settings: Mapping[str, Any]) -> None:
+    """Have the settings of another process."""
+    for name, value in settings.items():
+        if getattr(jax.config, name) != value:
+            jax.config.update(name, value)
+
+
 @contextlib.contextmanager
-def _uninterruptible() -> Iterator[None]:
+def uninterruptible() -> Iterator[None]:
     """Processes started in here never see Ctrl-C, which goes to all of them: the parent decides."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -130,8 +142,7 @@ def _work(
 ) -> None:
     """The main function of a process."""
     pin(cores)
-    for name, value in settings.items():
-        jax.config.update(name, value)
+    take_over(settings)
     parent = multiprocessing.parent_process()
 
     def stopping() -> bool:

@@ -1,7 +1,8 @@
-"""Progress of long commands: a bar on a terminal, now and then a line elsewhere."""
+"""What commands show: progress, a bar or now and then a line; and tables."""
 
 import sys
 import time
+from collections.abc import Sequence
 from types import TracebackType
 
 from rich.console import Console
@@ -13,6 +14,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.progress import Progress as Bar
+from rich.table import Table
 
 
 class Progress:
@@ -75,3 +77,14 @@ def clock(seconds: float) -> str:
     """A duration as h:mm:ss."""
     minutes, s = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{s:02d}"
+
+
+def show_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table; columns of numbers are flush right."""
+    table = Table()
+    for i, heading in enumerate(headings):
+        numbers = i > 0 and all(row[i][:1].isdigit() for row in rows)
+        table.add_column(heading, justify="right" if numbers else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)

@@ -1,13 +1,12 @@
-"""Results of a sweep on disk: `tasks.parquet`, `events.parquet`, `summary.csv`, `paired.csv`.
+"""Results of a sweep: `tasks.parquet`, `events.parquet`, `summary.csv`, `paired.csv`.
 
-A cell's files hold one row for each `TaskRecord` (by robot and task) and each `Event` (as they
-happened); the merged files hold those of all cells, with the columns `policy` and `robots` before
-them. What does not apply is null. Nothing in them depends on how fast the computer was.
+A cell's tables (`cells.py`) hold one row for each `TaskRecord` (by robot and task) and each `Event`
+(as they happened); the merged files hold those of all cells, with the columns `policy` and `robots`
+before them. What does not apply is null. Nothing in them depends on how fast the computer was.
 """
 
 import dataclasses
 import hashlib
-import io
 import itertools
 import json
 import math
@@ -22,7 +21,7 @@ from pgf_jax.files import MIB, parse_json, read_file
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.fleet.metrics import CellSummary, Interval, paired_difference
 from pgf_jax.fleet.records import TaskRecord
-from pgf_jax.guidance.tables import LARGEST, decode_table, write_atomically
+from pgf_jax.guidance.tables import LARGEST, decode_table, encode_table
 from pgf_jax.planning.types import Status
 from pgf_jax.study.sweep_config import Cell
 
@@ -53,6 +52,7 @@ _OTHER_TYPES: dict[str, dict[str, pl.DataType]] = {
     "successful_grants_at": {"successful_grants_at": pl.List(pl.Int64())},
     "asked_cost": {"asked_cost": pl.List(pl.Float64())},
     "helped_cost": {"helped_cost": pl.List(pl.Float64())},
+    "non_finite_at": {"non_finite_at": pl.List(pl.Int64())},
     "terms": {"c_d": pl.Float64(), "c_f": pl.Float64(), "c_b": pl.Float64()},
 }
 TASK_SCHEMA: dict[str, pl.DataType] = {
@@ -65,7 +65,7 @@ TASK_SCHEMA: dict[str, pl.DataType] = {
 MERGED_TASK_SCHEMA = _CELL_COLUMNS | TASK_SCHEMA
 MERGED_EVENT_SCHEMA = _CELL_COLUMNS | EVENT_SCHEMA
 _TERMS = ("c_d", "c_f", "c_b")
-_COUNTS = ("grants_at", "successful_grants_at")
+_COUNTS = ("grants_at", "successful_grants_at", "non_finite_at")
 _COSTS = ("asked_cost", "helped_cost")
 _OPTIONAL = {"first_bid", "first_grant", "cost", *_TERMS}
 _LARGEST_JSON = 16 * MIB
@@ -222,11 +222,9 @@ def paired_frame(rows: Iterable[Paired]) -> pl.DataFrame:
 # -- files -------------------------------------------------------------------------------------
 
 
-def parquet(frame: pl.DataFrame) -> bytes:
-    """A Parquet file; the same table gives the same bytes."""
-    buffer = io.BytesIO()
-    frame.write_parquet(buffer)
-    return buffer.getvalue()
+def parquet(frame: pl.DataFrame, about: Mapping[str, Any] | None = None) -> bytes:
+    """A Parquet file, with where it comes from; the same table gives the same bytes."""
+    return encode_table(frame, about)
 
 
 def csv(frame: pl.DataFrame) -> bytes:
@@ -310,57 +308,3 @@ def read_json(path: Path) -> dict[str, Any]:
 def json_bytes(content: Mapping[str, Any]) -> bytes:
     """A JSON file for people to read as well."""
     return (json.dumps(content, indent=2) + "\n").encode()
-
-
-# -- cells -------------------------------------------------------------------------------------
-
-CELL_FILES = {"tasks.parquet": TASK_SCHEMA, "events.parquet": EVENT_SCHEMA}
-CELL_RECORD = "cell.json"  # written last: a cell that has it is finished
-
-
-def cell_folder(out: Path, cell: Cell) -> Path:
-    """Where a cell's files lie."""
-    return out / "cells" / cell.name
-
-
-def write_cell(
-    out: Path, cell: Cell, identity: Mapping[str, Any], tasks: pl.DataFrame, events: pl.DataFrame
-) -> None:
-    """Write a finished cell: its tables, then the record that says what they are.
-
-    Args:
-      out: folder of the sweep's results.
-      cell: which.
-      identity: everything that the results depend on.
-      tasks, events: as `tasks_frame` and `events_frame` make them.
-    """
-    folder = cell_folder(out, cell)
-    try:  # An older record must not vouch for new tables, should this be interrupted.
-        (folder / CELL_RECORD).unlink(missing_ok=True)
-    except OSError as error:
-        raise BadInput(f"{folder / CELL_RECORD}: cannot be replaced ({error.strerror})") from error
-    files = dict(zip(CELL_FILES, (parquet(tasks), parquet(events)), strict=True))
-    for name, data in files.items():
-        write_atomically(folder / name, data)
-    record = {"identity": identity, "files": {name: sha256(data) for name, data in files.items()}}
-    write_atomically(folder / CELL_RECORD, json_bytes(record))
-
-
-def read_cell(out: Path, cell: Cell) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """The tasks and events of a finished cell.
-
-    Raises:
-      BadInput: a file is missing, or is not the one that was written.
-    """
-    folder = cell_folder(out, cell)
-    digests = read_json(folder / CELL_RECORD).get("files")
-    frames = []
-    for name, schema in CELL_FILES.items():
-        data = _read(folder / name, LARGEST)
-        if not isinstance(digests, dict) or sha256(data) != digests.get(name):
-            raise BadInput(
-                f"{folder / name}: truncated or corrupt, its digest is not the one in "
-                f"{CELL_RECORD}; delete {folder} to compute the cell again"
-            )
-        frames.append(_decode(data, folder / name, schema))
-    return frames[0], frames[1]

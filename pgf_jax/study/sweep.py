@@ -1,30 +1,40 @@
 """`pgf_jax.sweep`: fleets of every size under every policy on the same scenes, and their files."""
 
+import contextlib
 import dataclasses
-import os
+import functools
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 from rich.console import Console
 
-from pgf_jax.errors import BadInput, shown
+from pgf_jax.errors import BadInput
 from pgf_jax.fleet.metrics import CellSummary, summarise
 from pgf_jax.guidance.tables import write_atomically
-from pgf_jax.study import results
+from pgf_jax.study import cells, results
+from pgf_jax.study.dispatch import dispatch
 from pgf_jax.study.event_log import read_log
+from pgf_jax.study.executors import Processes, cluster
 from pgf_jax.study.figures import figure6, png
-from pgf_jax.study.manifest import manifest
+from pgf_jax.study.folder import (
+    MANIFEST,
+    RESULTS,
+    RUN,
+    check_folder,
+    check_writable,
+    keys_of,
+)
+from pgf_jax.study.manifest import about, manifest, run_record
 from pgf_jax.study.recording import LIVE, compare, replaying
 from pgf_jax.study.sweep_config import Cell, SweepConfig
-from pgf_jax.study.sweep_report import Report, summary_tables
-from pgf_jax.study.sweep_run import Effort, Job, run_cells, run_cells_in_processes
-from pgf_jax.study.sweep_setup import Loaded, Setup, identity, prepare
+from pgf_jax.study.sweep_report import Report, numbers, summary_tables
+from pgf_jax.study.sweep_run import Job
+from pgf_jax.study.sweep_setup import Loaded, Setup, prepare
 
-MANIFEST = "manifest.json"
-RESULTS = ("tasks.parquet", "events.parquet", "summary.csv", "paired.csv", "fig6.png")
+TASKS_A_PROCESS = 60  # to fewer a process of their own is not worth its start
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,12 +46,16 @@ class SweepResult:
       summaries: one a cell, by policy, then by fleet size.
       paired: differences of every two policies on the same tasks.
       computed: names of the cells computed now; the others were finished before.
+      files: the cells' own.
+      origins: how many kinds of processor and code the cells were computed by.
     """
 
     out: Path
     summaries: tuple[CellSummary, ...]
     paired: tuple[results.Paired, ...]
     computed: tuple[str, ...]
+    files: Mapping[Cell, Path]
+    origins: int = 1
 
     def tasks(self) -> pl.DataFrame:
         """`tasks.parquet`: one row a task."""
@@ -51,8 +65,14 @@ class SweepResult:
         """`events.parquet`: one row an event."""
         return results.read_results(self.out / "events.parquet", results.MERGED_EVENT_SCHEMA)
 
+    def cell(self, cell: Cell) -> cells.Content:
+        """One cell's tables, and where they come from."""
+        return cells.read(self.files[cell])
 
-def sweep(config: SweepConfig, *, quiet: bool = False) -> SweepResult:
+
+def sweep(
+    config: SweepConfig, *, quiet: bool = False, executor: Executor | None = None
+) -> SweepResult:
     """Run a sweep: every policy at every fleet size.
 
     All cells of a process are computed in one queue of work (see `sweeps`); each is written as soon
@@ -62,22 +82,31 @@ def sweep(config: SweepConfig, *, quiet: bool = False) -> SweepResult:
     Args:
       config: what to run.
       quiet: no progress (standard error), no table at the end (standard output).
+      executor: what computes the cells, in place of processes of this computer or of the
+        configuration's scheduler; it stays open.
 
     Returns:
       The summaries. Files are in `config.out`: `tasks.parquet`, `events.parquet`, `summary.csv`,
-      `paired.csv`, `fig6.png`, `manifest.json`, and each cell's in `cells/POLICY_RN`. The same
-      configuration gives the same files, but for the manifest's times, whatever the workers.
+      `paired.csv`, `fig6.png`, `manifest.json`, and each cell's in `cells`, with `run.json` and
+      what stands beside each cell about how they came about. On one type of processor the same
+      configuration gives the same files, but for these, whoever computes it.
 
     Raises:
       BadInput: the configuration, or a file it names, cannot be used; or the folder holds results
-        of another configuration, or, on resuming, corrupt ones. Nothing has been written then.
+        of another configuration, or, on resuming, corrupt ones (nothing has been written then); or
+        a file cannot be written (finished cells are kept).
+      Lost: what computes the cells is gone; finished cells are kept.
       KeyboardInterrupt: interrupted; finished cells are kept.
     """
-    return sweeps([config], quiet=quiet)[0]
+    return sweeps([config], quiet=quiet, executor=executor)[0]
 
 
 def sweeps(
-    configs: Sequence[SweepConfig], *, quiet: bool = False, tables: bool = True
+    configs: Sequence[SweepConfig],
+    *,
+    quiet: bool = False,
+    tables: bool = True,
+    executor: Executor | None = None,
 ) -> list[SweepResult]:
     """Run several sweeps as one: calls of the engine are fuller, and nothing is computed twice.
 
@@ -88,93 +117,158 @@ def sweeps(
       configs: each with a folder of its own; `workers` is the largest of theirs.
       quiet: as in `sweep`.
       tables: show the tables at the end, unless quiet.
+      executor: as in `sweep`.
 
     Returns:
       What each found, and wrote, as if it had been run alone.
 
     Raises:
-      BadInput: as in `sweep`; or two have the same folder.
+      BadInput: as in `sweep`; or two have the same folder, or different schedulers.
+      Lost: as in `sweep`.
       KeyboardInterrupt: interrupted; finished cells are kept.
     """
     start = time.perf_counter()
     configs = [_as_recorded(config) for config in configs]
+    _check_together(configs)
+    loaded: Loaded = {}
+    setups = [prepare(config, loaded) for config in configs]
+    keys = [keys_of(setup) for setup in setups]
+    kept = [check_folder(setup, names) for setup, names in zip(setups, keys, strict=True)]
+    jobs = [Job(i, cell) for i, config in enumerate(configs) for cell in config.cells()]
+    finished = [job for job in jobs if job.cell in kept[job.sweep]]
+    with contextlib.ExitStack() as stack:
+        for config in configs:
+            stack.enter_context(cells.only_writer(config.out))
+            check_writable(config.out)
+        as_json = any(config.json for config in configs)
+        report = Report(jobs, finished, Console(stderr=True), quiet=quiet, json=as_json)
+        with report:
+            try:
+                todo = [job for job in jobs if job not in set(finished)]
+                names = {job: keys[job.sweep][job.cell] for job in jobs}
+                opener = _executor(configs, todo, executor)
+                begin = time.perf_counter()
+                efforts = dispatch(setups, todo, names, report, opener) if todo else []
+                cells_s = time.perf_counter() - begin
+            except KeyboardInterrupt:
+                report.interrupted(*(config.out for config in configs))
+                raise
+        wall_s = time.perf_counter() - start
+        outcomes = []
+        for setup, own, cells_kept in zip(setups, keys, kept, strict=True):
+            outcome = _conclude(setup, own, cells_kept)
+            record = run_record(
+                setup.config,
+                kept=cells_kept,
+                efforts=efforts,
+                wall_s=wall_s,
+                cells_s=cells_s,
+                together=len(configs),
+                again=report.sent_again,
+            )
+            write_atomically(outcome.out / RUN, results.json_bytes(record))
+            outcomes.append(outcome)
+    for config, outcome in zip(configs, outcomes, strict=True):
+        _compare(config, outcome)
+        if tables and not quiet and not config.json:
+            _show(config, outcome)
+    return outcomes
+
+
+def _check_together(configs: Sequence[SweepConfig]) -> None:
     folders = [config.out.resolve() for config in configs]
     for i, folder in enumerate(folders):
         if folder in folders[:i]:
             raise BadInput(f"out: {configs[i].out} is the folder of two sweeps")
-    loaded: Loaded = {}
-    setups = [prepare(config, loaded) for config in configs]
-    kept = [check_folder(setup) for setup in setups]
-    for config in configs:
-        _make_folder(config.out)
-    jobs = [Job(i, cell) for i, config in enumerate(configs) for cell in config.cells()]
-    finished = [job for job in jobs if job.cell in kept[job.sweep]]
+    schedulers = {config.scheduler for config in configs}
+    if len(schedulers) > 1:
+        raise BadInput(f"scheduler: expected one for all, got {sorted(map(str, schedulers))}")
+
+
+class _Borrowed(Executor):
+    """An executor of somebody else's: it stays open."""
+
+    def __init__(self, executor: Executor) -> None:
+        self.submit = executor.submit
+        self.claim = getattr(executor, "claim", False)
+
+
+def _executor(
+    configs: Sequence[SweepConfig], todo: Sequence[Job], given: Executor | None
+) -> Callable[[], tuple[Executor, int]] | None:
+    """What opens the executor; None where this process computes."""
     workers = max((config.processes() for config in configs), default=1)
-    with Report(jobs, finished, Console(stderr=True), quiet=quiet) as report:
-        try:
-            todo = [job for job in jobs if job not in finished]
-            efforts = _compute(setups, todo, workers, report)
-        except KeyboardInterrupt:
-            report.interrupted(*(config.out for config in configs))
-            raise
-    outcomes = []
-    for setup, cells in zip(setups, kept, strict=True):
-        outcome = _conclude(setup, cells, efforts, time.perf_counter() - start, len(configs))
-        outcomes.append(outcome)
-        _compare(setup.config, outcome)
-        if tables and not quiet:
-            Console().print(summary_tables(outcome.summaries))
-            Console().print(
-                f"engine {setup.config.engine}, {setup.config.engine_lanes()} lanes; results in "
-                f"{setup.config.out}",
-                markup=False,
-                highlight=False,
-                soft_wrap=True,
-            )
-    return outcomes
+    if given is not None:
+        return lambda: (_Borrowed(given), workers)
+    if configs and configs[0].scheduler is not None:
+        return functools.partial(cluster, configs[0].scheduler)
+    workers = min(workers, len(todo))
+    if all(config.workers is None for config in configs):
+        tasks = sum(cell.robots * cell.tasks for _, cell in todo)
+        workers = min(workers, 1 + tasks // TASKS_A_PROCESS)
+    if workers <= 1:
+        return None
+    return lambda: (Processes(workers), workers)
 
 
-def _compute(setups: list[Setup], jobs: list[Job], workers: int, report: Report) -> list[Effort]:
-    if not jobs:
-        return []
-    if min(workers, len(jobs)) == 1:
-        return [run_cells(setups, jobs, report)]
-    return run_cells_in_processes(setups, jobs, workers, report)
-
-
-def _conclude(
-    setup: Setup, kept: set[Cell], efforts: list[Effort], wall_s: float, together: int
-) -> SweepResult:
+def _conclude(setup: Setup, keys: Mapping[Cell, str], kept: set[Cell]) -> SweepResult:
     """Summarise from the cells' files, so that kept and computed cells are treated alike."""
-    config, cells = setup.config, setup.config.cells()
-    tables = {cell: results.read_cell(config.out, cell) for cell in cells}
-    records = {cell: results.task_records(tasks) for cell, (tasks, _) in tables.items()}
+    config = setup.config
+    files = {cell: cells.path(config.out, key) for cell, key in keys.items()}
+    tables = {cell: cells.read(file) for cell, file in files.items()}
+    records = {cell: results.task_records(content.tasks) for cell, content in tables.items()}
     summaries = [
-        summarise(config.fleet(cell), records[cell], results.event_log(events))
-        for cell, (_, events) in tables.items()
+        summarise(config.fleet(cell), records[cell], results.event_log(content.events))
+        for cell, content in tables.items()
     ]
     paired = results.paired(records)
+    merged = merged_files(setup, tables, summaries, paired)
+    for name, data in merged.items():
+        write_atomically(config.out / name, data)
+    digests = {cell: cells.read_account(file)["sha256"] for cell, file in files.items()}
+    said = manifest(setup, keys, tables, digests, merged)
+    write_atomically(config.out / MANIFEST, results.json_bytes(said))
+    computed = tuple(cell.name for cell in config.cells() if cell not in kept)
+    mixed = len(said["origins"])
+    return SweepResult(config.out, tuple(summaries), tuple(paired), computed, files, mixed)
+
+
+def merged_files(
+    setup: Setup,
+    tables: Mapping[Cell, cells.Content],
+    summaries: Sequence[CellSummary],
+    paired: Sequence[results.Paired],
+) -> dict[str, bytes]:
+    """The files of `RESULTS`, from the cells."""
+    origin = about(setup)
+    tasks = results.merge([(cell, content.tasks) for cell, content in tables.items()])
+    events = results.merge([(cell, content.events) for cell, content in tables.items()])
     content = (
-        results.parquet(results.merge([(cell, tasks) for cell, (tasks, _) in tables.items()])),
-        results.parquet(results.merge([(cell, events) for cell, (_, events) in tables.items()])),
+        results.parquet(tasks, origin),
+        results.parquet(events, origin),
         results.csv(results.summary_frame(summaries)),
         results.csv(results.paired_frame(paired)),
-        png(figure6(summaries)),
+        png(figure6(summaries), origin),
     )
-    files: dict[str, bytes] = dict(zip(RESULTS, content, strict=True))
-    for name, data in files.items():
-        write_atomically(config.out / name, data)
-    about = manifest(
-        setup,
-        kept=kept,
-        efforts=efforts,
-        wall_s=wall_s,
-        together=together,
-        files=files,
-    )
-    write_atomically(config.out / MANIFEST, results.json_bytes(about))
-    computed = tuple(cell.name for cell in cells if cell not in kept)
-    return SweepResult(config.out, tuple(summaries), tuple(paired), computed)
+    return dict(zip(RESULTS, content, strict=True))
+
+
+def _show(config: SweepConfig, outcome: SweepResult) -> None:
+    console = Console()
+    console.print(summary_tables(outcome.summaries))
+    for line in (
+        numbers(outcome.summaries, outcome.tasks(), config.seed),
+        f"engine {config.engine}, {config.engine_lanes()} lanes; results in {config.out}",
+    ):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    if outcome.origins > 1:
+        console.print(
+            f"computed by {outcome.origins} kinds of processor or code, see origins in {MANIFEST}: "
+            "results are the same to the last bit on one only",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
 
 
 def _as_recorded(config: SweepConfig) -> SweepConfig:
@@ -191,79 +285,3 @@ def _compare(config: SweepConfig, outcome: SweepResult) -> None:
     difference = compare(events, read_log(config.log))
     if difference is not None:
         raise BadInput(difference)
-
-
-# -- the folder of results ---------------------------------------------------------------------
-
-
-def check_folder(setup: Setup) -> set[Cell]:
-    """Compare the results in the folder, if any, with the configuration.
-
-    Returns:
-      The cells that are finished and to be kept: none unless the configuration says `resume`.
-
-    Raises:
-      BadInput: the folder holds results of another configuration, or something that is neither;
-        or, on resuming, a corrupt file.
-    """
-    config = setup.config
-    out = config.out
-    if not out.exists():
-        return set()
-    if not out.is_dir():
-        raise BadInput(f"out: {out} is a file, expected a folder")
-    known = {cell.name: cell for cell in config.cells()}
-    found: set[Cell] = set()
-    for folder in sorted((out / "cells").glob("*/")):
-        path = folder / results.CELL_RECORD
-        if not path.is_file():
-            continue  # never finished: computed again
-        if folder.name not in known:
-            raise _foreign(path, f"cell {folder.name}, which this configuration has not", out)
-        cell = known[folder.name]
-        theirs = results.read_json(path).get("identity")
-        differences = _differences(theirs, identity(setup, cell))
-        if differences:
-            raise _foreign(path, f"of another configuration ({differences})", out)
-        found.add(cell)
-        if config.resume:
-            results.read_cell(out, cell)
-    leftover = [name for name in (*RESULTS, MANIFEST) if (out / name).exists()]
-    if leftover and not found:
-        # Their cells are gone, and only they could say what these were computed from.
-        raise _foreign(out / leftover[0], "without the cells they were merged from", out)
-    return found if config.resume else set()
-
-
-def _foreign(path: Path, what: str, out: Path) -> BadInput:
-    return BadInput(f"{path}: results {what}; choose another folder with --out, or delete {out}")
-
-
-def _differences(theirs: Any, ours: Mapping[str, Any]) -> str:
-    """Where two identities differ, in words; empty where they do not."""
-    if not isinstance(theirs, dict):
-        return "it does not say which"
-    words = []
-    for key in [*ours, *(key for key in theirs if key not in ours)]:
-        a, b = theirs.get(key), ours.get(key)
-        if isinstance(a, dict) and isinstance(b, dict):
-            inner = _differences(a, b)
-            words += [inner] if inner else []
-        elif a != b or (key in theirs) != (key in ours):
-            words.append(f"{key} {_short(a)}, now {_short(b)}")
-    return "; ".join(words)
-
-
-def _short(value: object) -> str:
-    text = value if isinstance(value, str) else shown(value, 40)
-    return text if len(text) <= 40 else text[:37] + "..."
-
-
-def _make_folder(out: Path) -> None:
-    """Make the folder now: that it cannot be written should not turn up after hours."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"out: {out} cannot be made ({error.strerror})") from error
-    if not os.access(out, os.W_OK | os.X_OK):
-        raise BadInput(f"out: {out} cannot be written to")

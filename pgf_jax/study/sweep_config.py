@@ -4,6 +4,7 @@ The command line of `pgf-jax sweep` is built from `SweepConfig`.
 """
 
 import dataclasses
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
@@ -25,6 +26,11 @@ CLOCK_S = 1e-9  # the simulated clock counts nanoseconds
 # `planar` computes no padding, and fills its chunks better from a larger call.
 LANES = {"mjx": 8, "native": 1, "planar": 64}
 OTHER_LANES = 8
+
+# Fields that decide on no result: how and where a sweep is computed; and those that say where its
+# inputs lie, whose content decides.
+HOW = ("preset", "workers", "scheduler", "out", "resume", "json")
+INPUTS = ("scenes", "predictor", "log")
 
 # These need no network that predicts a gain.
 GAINLESS = frozenset(
@@ -125,6 +131,9 @@ class SweepConfig:
         constant of the engine.
       out: folder of the results.
       resume: keep the cells that are finished already, compute the others.
+      scheduler: compute on other machines: tcp://HOST:PORT of a Dask scheduler, whose workers have
+        one thread each; or slurm:N, to have Slurm start N of them. Needs pgf_jax[cluster].
+      json: print a line of JSON for each cell that is finished, and no tables.
 
     Raises:
       BadInput: a value is none of its kind, or contradicts another. Files, folders and the operator
@@ -158,10 +167,13 @@ class SweepConfig:
     lanes: int | None = None
     out: Path = Path("results/sweep")
     resume: bool = False
+    scheduler: str | None = None
+    json: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)
         self._check_fixed()
+        self._check_scheduler()
         one_of("engine", self.engine, engine_names())
         if self.scenes is not None and self.scene_class is not None:
             raise BadInput(
@@ -192,6 +204,22 @@ class SweepConfig:
             )
         for cell in self.cells():
             self.fleet(cell)
+
+    def _check_scheduler(self) -> None:
+        if self.scheduler is None:
+            return
+        if (
+            re.fullmatch(r"(tcp|tls)://[^\s/]+:[0-9]+|slurm:[1-9][0-9]{0,4}", self.scheduler)
+            is None
+        ):
+            raise BadInput(
+                "scheduler: expected tcp://HOST:PORT (or tls://), or slurm:N with N workers, got "
+                f"{shown(self.scheduler)}"
+            )
+        if self.workers is not None:
+            raise BadInput(
+                f"workers: expected none beside a scheduler, which has its own, got {self.workers}"
+            )
 
     def _check_fixed(self) -> None:
         preset = PRESETS.get(self.preset or "")
@@ -232,6 +260,30 @@ class SweepConfig:
             for policy in self.policies or sizes.policies
             for robots in self.robots or sizes.robots
         )
+
+    def of_cell(self, cell: Cell) -> dict[str, object]:
+        """The settings that decide on one cell, as arguments of a sweep of it alone.
+
+        Without those of how and where it is computed, and without the paths in `INPUTS`.
+        """
+        own = {
+            "robots": [cell.robots],
+            "policies": [cell.policy],
+            "tasks": cell.tasks,
+            "scene_class": self.sampled_class(),
+            "lanes": self.engine_lanes(),
+        }
+        settings = {
+            field.name: getattr(self, field.name)
+            for field in dataclasses.fields(self)
+            if field.name not in HOW + INPUTS
+        }
+        return settings | own
+
+    def inputs(self) -> dict[str, str | None]:
+        """Where the sweep's inputs lie, by field."""
+        values = {name: getattr(self, name) for name in INPUTS}
+        return {name: None if value is None else str(value) for name, value in values.items()}
 
     def fleet(self, cell: Cell) -> FleetConfig:
         """The configuration of one cell's fleet."""

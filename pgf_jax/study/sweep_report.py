@@ -1,9 +1,13 @@
 """What a sweep shows: its progress while it runs, its summary when it has ended."""
 
+import json as json_module
 import math
+import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
+import polars as pl
 from rich.console import Console, Group
 from rich.progress import (
     BarColumn,
@@ -24,16 +28,24 @@ BARS = 16  # more cells than these share one bar
 
 
 class Report:
-    """Progress on a terminal as bars, elsewhere as a line now and then; a `Listener`.
+    """Progress on a terminal as bars, elsewhere as a line now and then; a `dispatch.Listener`.
 
-    Use it as a context. With `quiet` it says nothing at all.
+    Use it as a context. With `quiet` it says nothing at all; with `json`, a line of JSON for each
+    cell that is finished, on standard output, besides what is said on standard error.
     """
 
     def __init__(
-        self, jobs: Sequence[Job], kept: Iterable[Job], console: Console, *, quiet: bool = False
+        self,
+        jobs: Sequence[Job],
+        kept: Iterable[Job],
+        console: Console,
+        *,
+        quiet: bool = False,
+        json: bool = False,
     ) -> None:
         kept = set(kept)
-        self._console, self._quiet = console, quiet
+        self._console, self._quiet, self._json = console, quiet, json and not quiet
+        self.sent_again = 0
         self._tasks = {job: job.cell.robots * job.cell.tasks for job in jobs if job not in kept}
         self._done = dict.fromkeys(self._tasks, 0)
         self._time_ns = dict.fromkeys(self._tasks, 0)
@@ -46,6 +58,7 @@ class Report:
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("tasks, {task.fields[hours]:.2f} h simulated"),
+            TextColumn("{task.fields[rate]}"),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
             console=console,
@@ -60,11 +73,13 @@ class Report:
     def __enter__(self) -> "Report":
         if self._live:
             total = sum(self._tasks.values())
-            self._all = self._progress.add_task("all", total=total, hours=0.0)
+            self._all = self._progress.add_task("all", total=total, hours=0.0, rate="")
             if len(self._tasks) <= BARS:
                 for job, tasks in self._tasks.items():
                     label = f"{job.cell.policy}, R = {job.cell.robots}"
-                    self._bars[job] = self._progress.add_task(label, total=tasks, hours=0.0)
+                    self._bars[job] = self._progress.add_task(
+                        label, total=tasks, hours=0.0, rate=""
+                    )
             self._progress.start()
         return self
 
@@ -78,14 +93,21 @@ class Report:
         self._first = self._first or time.monotonic()
         self._show(job)
 
-    def finished(self, job: Job) -> None:
+    def finished(self, job: Job, account: Mapping[str, Any]) -> None:
         """See `Listener.finished`."""
         # Tasks that the horizon left unbegun are not waited for.
         self._done[job] = self._tasks[job]
         self._finished.add(job)
         self._show(job)
+        if self._json:
+            self._print_json(job, account)
         if not self._live and len(self._tasks) <= BARS:
             self._line(f"finished {self._name(job)}; ")
+
+    def again(self, jobs: int, why: str) -> None:
+        """See `Listener.again`."""
+        self.sent_again += jobs
+        self._say(f"{why}: {jobs} cells are computed again")
 
     def interrupted(self, *out: object) -> None:
         """Say what is there and how to go on."""
@@ -103,21 +125,46 @@ class Report:
             hours = {j: ns / NS_PER_HOUR for j, ns in self._time_ns.items()}
             if job in self._bars:
                 self._progress.update(self._bars[job], completed=self._done[job], hours=hours[job])
-            total = sum(self._done.values())
-            self._progress.update(self._all, completed=total, hours=sum(hours.values()))
+            done, rate, _ = self._pace()
+            self._progress.update(
+                self._all, completed=done, hours=sum(hours.values()), rate=f"{rate:.1f}/s"
+            )
         elif time.monotonic() - self._last > LINE_EVERY_S:
             self._line()
 
+    def _pace(self) -> tuple[int, float, float]:
+        """Tasks done, tasks/s, and the s that are left by it; compilation does not count."""
+        done, total = sum(self._done.values()), sum(self._tasks.values())
+        elapsed = max(time.monotonic() - (self._first or self._start), 1e-9)
+        return done, done / elapsed, elapsed * (total - done) / max(done, 1)
+
     def _line(self, head: str = "") -> None:
         now = self._last = time.monotonic()
-        done, total = sum(self._done.values()), sum(self._tasks.values())
-        left = (now - (self._first or self._start)) * (total - done) / max(done, 1)
-        estimate = f", about {left:.0f} s left" if 0 < done < total else ""
+        total = sum(self._tasks.values())
+        done, rate, left = self._pace()
+        estimate = f", {rate:.1f} tasks/s, about {left:.0f} s left" if 0 < done < total else ""
         hours = sum(self._time_ns.values()) / NS_PER_HOUR
         self._say(
             f"{head}{done}/{total} tasks, {len(self._finished)}/{len(self._tasks)} cells, "
             f"{hours:.2f} h simulated, {now - self._start:.0f} s{estimate}"
         )
+
+    def _print_json(self, job: Job, account: Mapping[str, Any]) -> None:
+        done, rate, left = self._pace()
+        line = {
+            "sweep": job.sweep,
+            "cell": job.cell.name,
+            "tasks": job.cell.robots * job.cell.tasks,
+            **{name: account.get(name) for name in ("sha256", "wall_s", "attempt")},
+            "host": (account.get("host") or {}).get("name"),
+            "cells_done": len(self._finished),
+            "cells": len(self._tasks),
+            "tasks_done": done,
+            "tasks_in_all": sum(self._tasks.values()),
+            "tasks_per_s": round(rate, 3),
+            "left_s": round(left, 1),
+        }
+        print(json_module.dumps(line), file=sys.stdout, flush=True)
 
     def _say(self, text: str) -> None:
         if not self._quiet:
@@ -146,6 +193,23 @@ def summary_tables(summaries: Sequence[CellSummary]) -> Group:
             _number(s.window_size_mean, 2),
         )
     return Group(outcome, help_)
+
+
+def numbers(summaries: Sequence[CellSummary], tasks: pl.DataFrame, seed: int) -> str:
+    """What is to be known of the physics: where it was not finite, where contacts were dropped."""
+    lost, full = (sum(getattr(s, name) for s in summaries) for name in ("non_finite", "saturated"))
+    where = ""
+    if lost:
+        first = tasks.filter(pl.col("non_finite") > 0).row(0, named=True)
+        where = (
+            f" (first: {first['policy']}, R = {first['robots']}, seed {seed}, robot "
+            f"{first['robot']}, task {first['task']}, iteration {first['non_finite_at'][0]}; all "
+            "in tasks.parquet, non_finite_at)"
+        )
+    return (
+        f"physics: {lost} iterations with a rollout that is not finite{where}; contact slots all "
+        f"in use in {full} rollouts"
+    )
 
 
 def _table(*headings: str) -> Table:

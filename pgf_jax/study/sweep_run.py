@@ -1,17 +1,18 @@
-"""Cells of sweeps, computed: in this process, or in several that each take whole cells."""
+"""Cells of sweeps, computed in this process."""
 
 import dataclasses
 import time
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
+from pgf_jax.study.cells import Content
 from pgf_jax.study.computer import computer as make_computer
 from pgf_jax.study.computer import warm_up
 from pgf_jax.study.crew import Crew, drive
-from pgf_jax.study.processes import Say, Stopped, run_in_processes
-from pgf_jax.study.results import events_frame, tasks_frame, write_cell
+from pgf_jax.study.processes import Stopped
+from pgf_jax.study.results import events_frame, tasks_frame
 from pgf_jax.study.sweep_config import Cell
-from pgf_jax.study.sweep_setup import Setup, identity
+from pgf_jax.study.sweep_setup import Setup, provenance
 from pgf_jax.study.trees import Trees
 
 
@@ -24,28 +25,31 @@ class Job(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Effort:
-    """What a process took: of the wall clock, so for the manifest only.
+    """What a batch of cells took: of the wall clock, so not for the results.
 
     Attributes:
       wall_s: in all, compilation included, s.
-      compile_s: time of the first call of each program, compilation included, s.
+      compile_s: time of the first call of each program, compilation included, s; 0 where the
+        process has made one before.
+      engine_s: time spent in calls of the engine, the planner and the networks, s.
+      answering_s: that, and what is thought around it (an operator's candidates, say), s.
       iterations: that robots asked for.
       steps: iterations computed, those of the operators' trials included; fewer where fleets go
         the same way.
       calls: of the engine, one an iteration of up to L robots.
       used: work whose result was used, in the engine's units (see `Computer.occupancy`).
       computed: work done, empty lanes included.
-      saturated: rollouts with a knot end at which every contact slot was in use.
     """
 
     wall_s: float = 0.0
     compile_s: float = 0.0
+    engine_s: float = 0.0
+    answering_s: float = 0.0
     iterations: int = 0
     steps: int = 0
     calls: int = 0
     used: int = 0
     computed: int = 0
-    saturated: int = 0
 
     def __add__(self, other: "Effort") -> "Effort":
         mine, theirs = dataclasses.astuple(self), dataclasses.astuple(other)
@@ -59,39 +63,39 @@ class Listener(Protocol):
         """So many tasks of a cell have ended; its fleet's clock stands at `time_ns`."""
         ...
 
-    def finished(self, job: Job) -> None:
-        """Its files are written."""
+    def finished(self, job: Job, content: Content) -> None:
+        """A cell is finished: this is to be its file."""
         ...
 
 
 def run_cells(
-    setups: Sequence[Setup],
+    setups: Mapping[int, Setup],
     jobs: Sequence[Job],
     listener: Listener,
     *,
     stop: Callable[[], bool] = lambda: False,
 ) -> Effort:
-    """Compute cells in this process; each is written when it is finished.
+    """Compute cells in this process.
 
     Cells whose planners are alike share a queue, and those whose tasks are, their trees.
 
     Args:
-      setups: of the sweeps.
+      setups: of the sweeps, by number.
       jobs: in any company: no cell's results depend on the others.
       listener: told after every call of the engine.
       stop: asked after every call whether to give up.
 
     Raises:
-      Stopped: `stop` said so; finished cells have been written.
+      Stopped: `stop` said so; the listener has been given the finished cells.
     """
     effort = Effort()
-    for alike in _grouped(jobs, lambda job: setups[job.sweep].programs()):
+    for alike in grouped(jobs, lambda job: setups[job.sweep].programs()):
         effort += _run_alike(setups, alike, listener, stop)
     return effort
 
 
 def _run_alike(
-    setups: Sequence[Setup], jobs: Sequence[Job], listener: Listener, stop: Callable[[], bool]
+    setups: Mapping[int, Setup], jobs: Sequence[Job], listener: Listener, stop: Callable[[], bool]
 ) -> Effort:
     start = time.perf_counter()
     computer = make_computer(*setups[jobs[0].sweep].programs())
@@ -127,9 +131,7 @@ def _run_alike(
                 setup = setups[job.sweep]
                 tasks = tasks_frame(fleet.records, setup.scene_name)
                 events = events_frame(fleet.events)
-                about = identity(setup, job.cell)
-                write_cell(setup.config.out, job.cell, about, tasks, events)
-                listener.finished(job)
+                listener.finished(job, Content(tasks, events, provenance(setup, job.cell)))
                 del running[job]
         if running and stop():
             raise Stopped
@@ -140,77 +142,18 @@ def _run_alike(
     return Effort(
         time.perf_counter() - start,
         compile_s,
+        computer.seconds,
+        computer.answering_s,
         iterations,
         steps,
         calls,
         *computer.occupancy(),
-        computer.saturated,
     )
 
 
-def _grouped(items: Iterable[Any], key: Callable[[Any], Hashable]) -> list[list[Any]]:
+def grouped(items: Iterable[Any], key: Callable[[Any], Hashable]) -> list[list[Any]]:
     """Items of one key together, in the order of their first ones."""
     groups: dict[Hashable, list[Any]] = {}
     for item in items:
         groups.setdefault(key(item), []).append(item)
     return list(groups.values())
-
-
-# -- several processes -------------------------------------------------------------------------
-
-
-def shares(setups: Sequence[Setup], jobs: Sequence[Job], workers: int) -> list[list[Job]]:
-    """Whole cells to each process: the largest first, to whoever has the fewest tasks so far.
-
-    Cells that share trees stay together where there are enough such families to go round.
-    """
-    families = _grouped(jobs, lambda job: setups[job.sweep].lineage())
-    if len(families) < workers:
-        families = [[job] for job in jobs]
-
-    def tasks(family: list[Job]) -> int:
-        return sum(cell.robots * cell.tasks for _, cell in family)
-
-    parts: list[list[Job]] = [[] for _ in range(min(workers, len(families)))]
-    load = [0] * len(parts)
-    for family in sorted(families, key=tasks, reverse=True):
-        least = load.index(min(load))
-        parts[least] += family
-        load[least] += tasks(family)
-    return parts
-
-
-def run_cells_in_processes(
-    setups: Sequence[Setup], jobs: Sequence[Job], workers: int, listener: Listener
-) -> list[Effort]:
-    """Compute cells in processes of their own; see `run_cells` and `run_in_processes`."""
-
-    def hear(message: tuple[str, tuple[Any, ...]]) -> None:
-        kind, content = message
-        (listener.progress if kind == "progress" else listener.finished)(*content)
-
-    parts = [(setups, part) for part in shares(setups, jobs, workers)]
-    return run_in_processes(_cells_of_a_process, parts, hear)
-
-
-class _Sender:
-    """A `Listener` that passes on to the parent process."""
-
-    def __init__(self, say: Say) -> None:
-        self._say = say
-        self._told: dict[Job, int] = {}
-
-    def progress(self, job: Job, tasks: int, time_ns: int) -> None:
-        if self._told.get(job) != tasks:
-            self._told[job] = tasks
-            self._say(("progress", (job, tasks, time_ns)))
-
-    def finished(self, job: Job) -> None:
-        self._say(("finished", (job,)))
-
-
-def _cells_of_a_process(
-    part: tuple[Sequence[Setup], Sequence[Job]], say: Say, stop: Callable[[], bool]
-) -> Effort:
-    setups, jobs = part
-    return run_cells(setups, jobs, _Sender(say), stop=stop)

@@ -2,12 +2,10 @@
 
 import dataclasses
 import hashlib
-import importlib.metadata
 import json
 from collections.abc import Hashable, Mapping
 from typing import Any
 
-import jax
 import numpy as np
 
 from pgf_jax.errors import BadInput
@@ -25,14 +23,12 @@ from pgf_jax.scene.sampling import OBJECTS, PRESETS
 from pgf_jax.streams import stream
 from pgf_jax.study.checks import check_operator
 from pgf_jax.study.event_log import read_log
+from pgf_jax.study.provenance import DECISIVE, device, environment, versions
 from pgf_jax.study.recording import LIVE, REPLAY, Recording
 from pgf_jax.study.results import sha256
 from pgf_jax.study.sweep_config import Cell, SweepConfig
 
-FORMAT = 2  # of the results folder
-PACKAGES = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "numpy")
-# Results of another release of these may differ in the last bits, and then in everything.
-_DECISIVE = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx")
+FORMAT = 3  # of the results folder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -230,8 +226,22 @@ def identity(setup: Setup, cell: Cell) -> dict[str, Any]:
         "operator": config.operator,
         **({} if setup.recording is None else {"log": setup.recording.sha256}),
         "predictors": {n: setup.predictor_files[n]["sha256"] for n in setup.networks_of(cell)},
-        "versions": {name: importlib.metadata.version(name) for name in _DECISIVE},
-        "device": f"{jax.default_backend()}: {jax.devices()[0].device_kind}",
+        "versions": {name: versions()[name] for name in DECISIVE},
+        "device": device(),
+    }
+    return json.loads(json.dumps(content))
+
+
+def provenance(setup: Setup, cell: Cell) -> dict[str, Any]:
+    """Where a cell's results come from, for its file: to be understood, and computed, once more.
+
+    Where its inputs lay (scenes, checkpoints, the log) is not in it, as that decides on nothing;
+    their digests are, in `identity`.
+    """
+    content = {
+        "identity": identity(setup, cell),
+        "config": setup.config.of_cell(cell),
+        **environment(),
     }
     return json.loads(json.dumps(content))
 

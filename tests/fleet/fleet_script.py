@@ -17,6 +17,7 @@ TOKENS = {
     "s": outcome(stuck=True),
     "f": outcome(feasible=True, cost=10.0),
     "x": outcome(cost=math.inf, non_finite=True),
+    "w": outcome(saturated=3),
 }
 
 

@@ -82,6 +82,8 @@ def test_a_push_from_bid_to_solution():
             cost=10.0,
             terms=(10.0, 0.0, 0.0),
             non_finite=0,
+            non_finite_at=(),
+            saturated=0,
         )
     ]
     assert fleet.records[0].status == "solved"
@@ -210,6 +212,21 @@ def test_a_pushs_cost_is_not_the_tasks():
     fleet, _ = run({0: "s x"}, policy="or-hitl", inputs={(0, 0, 0): PUSH}, task_limit_s=14.0)
     record = fleet.records[0]
     assert (record.status, record.cost, record.non_finite) == ("timed_out", 100.0, 2)
+
+
+def test_which_iterations_broke_is_counted_over_the_task():
+    # Reaching: 0 and 1. Asked, and pushing till the push is dropped: 2 and 3. Reaching: 4, 5, 6.
+    fleet, _ = run(
+        {0: "x s x w x w f"}, policy="or-hitl", inputs={(0, 0, 0): PUSH}, push_limit_s=5.0
+    )
+    assert [line for line in log(fleet) if "iteration" not in line][3:] == [
+        "12.5 service_end r0.0 q0 o0 object=3 to=(0.4,0.1) push",
+        "17 push_dropped r0.0 object=3",
+        "29 execution_end r0.0 reach",
+        "29 task_end r0.0 solved",
+    ]
+    record = fleet.records[0]
+    assert (record.non_finite, record.non_finite_at, record.saturated) == (3, (0, 2, 4), 6)
 
 
 def test_a_robot_without_time_for_an_iteration_does_not_ask():

@@ -30,15 +30,18 @@ from pgf_jax.guidance.runs import Mode, RunLog, read_runs, write_runs
 from pgf_jax.guidance.state import STATE
 from pgf_jax.planning.types import Status
 from pgf_jax.scene import Scene, load_scene, load_scenes, sample_scene
-from pgf_jax.study import collect, event_log, results, service_fit
+from pgf_jax.study import cells, collect, event_log, results, service_fit
 from pgf_jax.study.crew import Segment
 from pgf_jax.study.fit_operator import fit_operator
 from pgf_jax.study.fit_operator_config import FitOperatorConfig
+from pgf_jax.study.folder import MANIFEST, check_folder, keys_of
 from pgf_jax.study.plan_file import Plan, load_plan, save_plan
 from pgf_jax.study.recording import Recording, replaying, settings_of
-from pgf_jax.study.sweep import MANIFEST, check_folder
+from pgf_jax.study.sweep import _conclude
 from pgf_jax.study.sweep_config import Cell, SweepConfig
-from pgf_jax.study.sweep_setup import Setup, identity
+from pgf_jax.study.sweep_setup import Setup, provenance
+from pgf_jax.study.verify import verify
+from pgf_jax.study.verify_config import VerifyConfig
 
 LONGEST = 500  # characters of a message
 CORPUS = Path(__file__).parent / "corpus"
@@ -49,11 +52,14 @@ class Reader:
     """Something that reads a file of the user's.
 
     Attributes:
-      name: of the file that is changed, below the case's folder.
+      name: of the file that is changed, below the case's folder; KEY in it is that of a cell.
       read: reads it, given the case's folder.
       seeds: makes good files of it.
       mutators: one is drawn for a case, and in every fourth case a second one of bytes.
       around: makes the other files of the folder.
+      sign: whether others say the changed file's digest, so that what is behind it is reached.
+      sealed: whether they say the good file's, so that no change may pass.
+      expected: a refusal that says so counts as read.
     """
 
     name: str
@@ -61,6 +67,9 @@ class Reader:
     seeds: Callable[[], Sequence[bytes]]
     mutators: Sequence[mutate.Mutator]
     around: Callable[[], Mapping[str, bytes]] = dict
+    sign: bool = False
+    sealed: bool = False
+    expected: str | None = None
 
 
 # -- good files ------------------------------------------------------------------------------------
@@ -165,6 +174,7 @@ def records(robots: int = 2) -> list[TaskRecord]:
             successful_grants_at=(),
             asked_cost=(450.0, np.nan),
             helped_cost=(np.nan, 1.0),
+            non_finite_at=(0, 4, 7),
             terms=(1.0, 2.0, np.nan),
         )
         for robot in range(robots)
@@ -265,24 +275,57 @@ SWEEP = SweepConfig(
 )
 
 
-@functools.cache
-def setup(out: Path) -> Setup:
-    return Setup(dataclasses.replace(SWEEP, out=out), None, None, None, {}, 20)
+def setup(out: Path, **changes) -> Setup:
+    config = dataclasses.replace(SWEEP, out=out, **changes)
+    return Setup(config, None, None, None, {}, 20)
 
 
 @functools.cache
-def cell_files() -> dict[str, bytes]:
-    """Both cells of a finished sweep, by their paths in its folder."""
-    files: dict[str, bytes] = {}
+def key() -> str:
+    """Of the first cell."""
+    return keys_of(setup(Path("x")))[SWEEP.cells()[0]]
+
+
+@functools.cache
+def finished() -> dict[str, bytes]:
+    """The files of a finished sweep, by their paths in its folder."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for cell in SWEEP.cells():
+        ours = setup(folder)
+        keys = keys_of(ours)
+        for cell, own in keys.items():
             tasks = results.tasks_frame(records(), lambda robot, task: "x")
-            events = results.events_frame(EVENTS)
-            results.write_cell(folder, cell, identity(setup(folder), cell), tasks, events)
-        for path in folder.glob("cells/*/*"):
-            files[str(path.relative_to(folder))] = path.read_bytes()
-    return files | {MANIFEST: b"{}"}
+            about = provenance(ours, cell)
+            content = cells.Content(tasks, results.events_frame(EVENTS), about)
+            account = {"session": "0123", "host": {"name": "here", "pid": 7}, "attempt": 1}
+            account |= {"wall_s": 1.5, "inputs": ours.config.inputs()}
+            cells.write(cells.path(folder, own), content.data(), account)
+        _conclude(ours, keys, set())
+        return {
+            str(path.relative_to(folder)): path.read_bytes()
+            for path in sorted(folder.rglob("*"))
+            if path.is_file()
+        }
+
+
+def cell_files() -> dict[str, bytes]:
+    """The cells alone, with what stands beside them."""
+    return {name: data for name, data in finished().items() if name.startswith("cells/")}
+
+
+def foreign_cell() -> list[bytes]:
+    """A cell of another seed."""
+    other = setup(Path("x"), seed=1)
+    (cell, _) = SWEEP.cells()
+    (ours, _) = finished_cells()
+    return [dataclasses.replace(ours, about=provenance(other, cell)).data()]
+
+
+def finished_cells() -> list[cells.Content]:
+    files = {name: data for name, data in cell_files().items() if name.endswith(".parquet")}
+    first = f"cells/{key()}.parquet"
+    names = sorted(files, key=lambda name: name != first)
+    return [cells.decode(files[name], Path(name)) for name in names]
 
 
 def collect_settings() -> list[bytes]:
@@ -328,9 +371,26 @@ def _tasks(folder: Path) -> None:
 
 
 def _cell(folder: Path) -> None:
-    tasks, events = results.read_cell(folder, SWEEP.cells()[0])
-    results.task_records(tasks)
-    results.event_log(events)
+    content = cells.read(cells.path(folder, key()))
+    results.task_records(content.tasks)
+    results.event_log(content.events)
+    cells.describe(content.about["identity"])
+    assert cells.decode(content.data(), folder).data() == content.data()
+
+
+def _check_folder(folder: Path) -> None:
+    ours = setup(folder)
+    check_folder(ours, keys_of(ours))
+
+
+def _verify(folder: Path) -> None:
+    """What is found is as good as a refusal, so long as it is one line that names a file of it."""
+    outcome = verify(VerifyConfig(folder, cells=0), quiet=True)
+    for finding in outcome.findings:
+        assert finding.what.isprintable() and finding.what, f"not one line: {finding.what!r}"
+        assert finding.path.is_relative_to(folder) and finding.path != folder
+    if not outcome.ok:
+        raise BadInput(f"{outcome.findings[0].path}: {outcome.findings[0].what}")
 
 
 def _plan(folder: Path) -> None:
@@ -351,16 +411,21 @@ def _fit(path: Path) -> None:
         fit_operator(FitOperatorConfig((path,), json=True))
 
 
-def _signed(data: bytes, others: Sequence[bytes], rng: mutate.Rng) -> bytes:
-    """A changed table; `outcome` writes its digest into the cell's record."""
-    return mutate.pick(rng, mutate.PARQUET)(data, others, rng)
+def _finished(name: str) -> Callable[[], list[bytes]]:
+    """The good file of that name."""
+    return lambda: [finished()[name.replace("KEY", key())]]
 
 
-_CELL = "cells/or-hitl_R2"
+def _verified(name: str, mutators: Sequence[mutate.Mutator], *, sign: bool = False) -> Reader:
+    sealed = name.endswith(".csv") or (not sign and not name.endswith(".json"))
+    return Reader(name, _verify, _finished(name), mutators, finished, sign, sealed)
 
 
-def _around_cell(without: str) -> Mapping[str, bytes]:
-    return {name: data for name, data in cell_files().items() if name != without}
+def _cells() -> list[bytes]:
+    return [content.data() for content in finished_cells()]
+
+
+_CELL, _ACCOUNT = "cells/KEY.parquet", "cells/KEY.json"
 
 
 READERS: dict[str, Reader] = {
@@ -389,38 +454,36 @@ READERS: dict[str, Reader] = {
         mutate.JSON,
     ),
     "tasks": Reader("tasks.parquet", _tasks, task_tables, mutate.PARQUET),
-    "cell_tasks": Reader(
-        f"{_CELL}/tasks.parquet",
-        _cell,
-        task_tables,
-        (_signed,),
-        lambda: _around_cell(f"{_CELL}/tasks.parquet"),
+    "cell": Reader(_CELL, _cell, _cells, mutate.NESTED, cell_files, sealed=True),
+    "cell_signed": Reader(_CELL, _cell, _cells, mutate.NESTED, cell_files, sign=True),
+    "cell_account": Reader(_ACCOUNT, _cell, _finished(_ACCOUNT), mutate.JSON, cell_files),
+    "folder": Reader(_ACCOUNT, _check_folder, _finished(_ACCOUNT), mutate.JSON, cell_files),
+    "folder_foreign": Reader(
+        f"cells/{'0' * 64}.parquet",
+        _check_folder,
+        foreign_cell,
+        mutate.NESTED,
+        cell_files,
+        sign=True,
+        expected="choose another folder with --out",
     ),
-    "cell_events": Reader(
-        f"{_CELL}/events.parquet",
-        _cell,
-        lambda: event_tables()[:2],
-        (_signed,),
-        lambda: _around_cell(f"{_CELL}/events.parquet"),
+    "verify_manifest": _verified(MANIFEST, mutate.JSON),
+    "verify_account": _verified(_ACCOUNT, mutate.JSON),
+    "verify_cell": _verified(_CELL, mutate.NESTED),
+    "verify_cell_signed": _verified(_CELL, mutate.NESTED, sign=True),
+    "verify_unfinished": Reader(
+        _CELL, _verify, _finished(_CELL), mutate.NESTED, cell_files, sign=True
     ),
-    "cell_record": Reader(
-        f"{_CELL}/cell.json",
-        _cell,
-        lambda: [cell_files()[f"{_CELL}/cell.json"]],
-        mutate.JSON,
-        lambda: _around_cell(f"{_CELL}/cell.json"),
-    ),
-    "folder": Reader(
-        f"{_CELL}/cell.json",
-        lambda f: check_folder(setup(f)),
-        lambda: [cell_files()[f"{_CELL}/cell.json"]],
-        mutate.JSON,
-        lambda: _around_cell(f"{_CELL}/cell.json"),
-    ),
+    "verify_tasks": _verified("tasks.parquet", mutate.PARQUET),
+    "verify_tasks_signed": _verified("tasks.parquet", mutate.PARQUET, sign=True),
+    "verify_events": _verified("events.parquet", mutate.PARQUET),
+    "verify_events_signed": _verified("events.parquet", mutate.PARQUET, sign=True),
+    "verify_summary": _verified("summary.csv", mutate.TEXT),
+    "verify_summary_signed": _verified("summary.csv", mutate.TEXT, sign=True),
     "json": Reader(
         "x.json",
         lambda f: results.read_json(f / "x.json"),
-        lambda: [cell_files()[f"{_CELL}/cell.json"], b'{"a": [1, 2.5, null, "b"]}'],
+        lambda: [*_finished(MANIFEST)(), b'{"a": [1, 2.5, null, "b"]}'],
         mutate.JSON,
     ),
     "journal": Reader(
@@ -468,16 +531,18 @@ def corpus(name: str) -> list[Path]:
 def outcome(name: str, data: bytes, folder: Path) -> str:
     """What comes of reading these bytes in an empty folder."""
     reader = READERS[name]
-    files = {**_around(name), reader.name: data}
-    if name in ("cell_tasks", "cell_events"):
-        files |= {f"{_CELL}/cell.json": _sign(files)}
+    changed = reader.name.replace("KEY", key()) if "KEY" in reader.name else reader.name
+    files = {**_around(name), changed: data}
+    if reader.sign:
+        files |= _signatures(changed, files)
     for file, content in files.items():
         path = folder / file
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
     try:
         reader.read(folder)
-        said = "read"
+        passes = reader.sealed and data != _seeds(name)[0]
+        said = "a changed file passes" if passes else "read"
     except BadInput as error:
         message = str(error)
         said = "refused"
@@ -485,6 +550,8 @@ def outcome(name: str, data: bytes, folder: Path) -> str:
             said = f"not one line: {message!r}"
         elif str(folder) not in message:
             said = f"does not name the file: {message}"
+        elif reader.expected is not None and reader.expected in message:
+            said = "read"
     except BaseException as error:
         said = f"{type(error).__name__}: {str(error)[:300]}"
     left = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file()}
@@ -493,12 +560,23 @@ def outcome(name: str, data: bytes, folder: Path) -> str:
     return said
 
 
-def _sign(files: Mapping[str, bytes]) -> bytes:
-    """The cell's record, with the digests of its tables as they are now."""
-    record = json.loads(cell_files()[f"{_CELL}/cell.json"])
-    for table in results.CELL_FILES:
-        record["files"][table] = results.sha256(files[f"{_CELL}/{table}"])
-    return results.json_bytes(record)
+def _signatures(changed: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
+    """What says the changed file's digest: what stands beside a cell, and a manifest."""
+    digest, signed = results.sha256(files[changed]), {}
+    if changed.startswith("cells/"):
+        beside = changed.replace(".parquet", ".json")
+        account = json.loads(cell_files()[f"cells/{key()}.json"])
+        account |= {"sha256": digest, "bytes": len(files[changed])}
+        signed[beside] = results.json_bytes(account)
+    if MANIFEST in files:
+        manifest = json.loads(files[MANIFEST])
+        for cell in manifest["cells"]:
+            if cell["file"] == changed:
+                cell["sha256"] = digest
+        if changed in manifest["files"]:
+            manifest["files"][changed] = digest
+        signed[MANIFEST] = results.json_bytes(manifest)
+    return signed
 
 
 def fewer_resamples() -> None:

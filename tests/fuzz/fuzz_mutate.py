@@ -473,6 +473,30 @@ def _changed(frame: pl.DataFrame, rng: Rng) -> pl.DataFrame:
     return frame.select(pl.concat_list(name)) if len(frame) else frame.select(frame.columns[::-1])
 
 
+def nested(data: bytes, others: Sequence[bytes], rng: Rng) -> bytes:
+    """Another table in a list of structs; or another origin, below the top."""
+    try:
+        frame = pl.read_parquet(io.BytesIO(data))
+        metadata = dict(pl.read_parquet_metadata(io.BytesIO(data)))
+        name = pick(rng, frame.columns)
+        inner = frame[name].explode(empty_as_null=False).struct.unnest()
+    except Exception:
+        return flip(data, others, rng)
+    metadata.pop("ARROW:schema", None)
+    if rng.random() < 0.3:
+        key = pick(rng, list(metadata))
+        metadata[key] = tree_json(metadata[key].encode(), others, rng).decode()
+    else:
+        for _ in range(int(rng.integers(1, 4))):
+            inner = _changed(inner, rng)
+        if not inner.columns:
+            return flip(data, others, rng)
+        frame = frame.with_columns(inner.to_struct(name).implode())
+    out = io.BytesIO()
+    frame.write_parquet(out, metadata=metadata)
+    return out.getvalue()
+
+
 def declared(data: bytes, others: Sequence[bytes], rng: Rng) -> bytes:
     """No content, and a footer that promises anything."""
     return b"PAR1" + rng.bytes(int(rng.integers(100))) + struct.pack(
@@ -481,3 +505,4 @@ def declared(data: bytes, others: Sequence[bytes], rng: Rng) -> bytes:
 
 
 PARQUET: tuple[Mutator, ...] = (*BYTES, *[footer] * 4, *[pages] * 3, *[rows] * 7, declared)
+NESTED: tuple[Mutator, ...] = (*PARQUET, *[nested] * 14)

@@ -75,6 +75,8 @@ TOKENS = (
 ENOUGH = {
     "plan": ["--preset", "tight"],
     "collect": ["human", "--scenes", "2", "--out", "x"],
+    "verify": ["x"],
+    "reproduce": ["x"],
     "train": ["--data", "x", "--out", "y"],
     "fit-operator": ["--log", "x"],
     "render": ["plan", "x.plan.json", "--out", "x.png"],

@@ -32,7 +32,7 @@ from pgf_jax.study import event_log, results
 from pgf_jax.study.plan_file import load_plan, plan_path
 
 FEW = 150  # cases of a reader: seconds
-MANY = 1300  # 18 readers: 23 400 files
+MANY = 1300  # 30 readers: 39 000 files
 
 
 def passed(tally: Tally, count: int) -> None:
@@ -56,7 +56,7 @@ def test_few_of_each():
     passed(tally, len(items))
     for name in READERS:  # the mutators are neither too rough nor too gentle
         assert tally.counts[name, "refused"] > FEW / 4
-        assert tally.counts[name, "read"] > 0
+        assert tally.counts[name, "read"] > 0 or READERS[name].sealed
 
 
 @pytest.mark.slow

@@ -20,7 +20,9 @@ from pgf_jax.study.fit_operator_config import FitOperatorConfig
 from pgf_jax.study.plan_config import PlanCommand, PlanConfig
 from pgf_jax.study.profile_config import ProfileConfig
 from pgf_jax.study.recording import settings_of
+from pgf_jax.study.reproduce_config import ReproduceConfig
 from pgf_jax.study.sweep_config import SweepConfig
+from pgf_jax.study.verify_config import VerifyConfig
 
 LONGEST = 500
 
@@ -96,7 +98,9 @@ GOOD: dict[str, list[Any]] = {
     "mode": ["autonomous", "human", "forks"],
     "what": ["plan", "task", "fleet"],
     "file": [Path("x"), "x"],
-    "out": [Path("x.png"), "x.mp4", "x"],
+    "folder": [Path("x"), "x"],
+    "out": [Path("x.png"), "x.mp4", "x", "x.npz"],
+    "scheduler": ["tcp://here:8786", "slurm:4", "slurm:0", None],
     "scene": [(Path("a.xml"),), ()],
     "scenes": [3, Path("x"), None],
     "preset": ["quick", "paper", "tight", None],
@@ -125,6 +129,8 @@ ENOUGH = {  # fields without a default
     CollectConfig: ("mode", "out"),
     RenderConfig: ("what", "file", "out"),
     FitOperatorConfig: ("log",),
+    VerifyConfig: ("folder",),
+    ReproduceConfig: ("folder",),
 }
 CONFIGS = (
     SweepConfig,
@@ -137,6 +143,8 @@ CONFIGS = (
     FitOperatorConfig,
     ConsoleConfig,
     FleetConfig,
+    VerifyConfig,
+    ReproduceConfig,
 )
 
 

@@ -307,6 +307,35 @@ def test_stomp_weights_by_hand():
     np.testing.assert_array_equal(after.controls, search.controls)
 
 
+@pytest.mark.parametrize("update", ["greedy", "stomp"])
+def test_all_that_an_iteration_rolls_out(update):
+    engine = Bulldozer(lanes=2)
+    planner = BatchPlanner(engine, Planner(update=update))
+    search, lost = reach(planner), 0
+    for i in range(4):
+        after, rolled = planner.rolled(search, key(3, i))
+        (same,) = planner.step([search], [key(3, i)])
+        for ours, theirs in zip(jax.tree.leaves(after), jax.tree.leaves(same), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        count = 8 if i else 1
+        assert len(rolled.controls) == count + (update == "stomp")
+        noise = np.asarray(jax.random.normal(key(3, i), (8, 8, 3)), float) * (i > 0)
+        noisy = search.controls + np.array(Planner().sigma) * noise
+        np.testing.assert_allclose(rolled.controls[:count], noisy[:count], atol=1e-6)
+        for number, controls in enumerate(rolled.controls):
+            objects, velocities, pose, _ = map(np.asarray, search.start)
+            run = engine.one(objects, velocities, pose, controls.astype(float))
+            for ours, theirs in zip(rolled.rollout, run, strict=True):
+                np.testing.assert_allclose(ours[number], theirs, atol=1e-6)
+            _, total, _ = oracle.cost(Rollout(*run), search.gripper, search.task, Cost())
+            assert rolled.value.total[number] == pytest.approx(total, rel=1e-4)
+            assert rolled.value.finite[number] == (total < INF)
+        lost += int((~rolled.value.finite).sum())
+        assert after.non_finite == lost
+        search = after
+    assert lost > 0
+
+
 def test_a_new_segment_starts_afresh(script):
     script.begin()
     for c in (100, 1150, 1250, 1350):

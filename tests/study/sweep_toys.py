@@ -1,6 +1,8 @@
 """A world that costs nothing, for tests of what surrounds it; and small checkpoints and scenes."""
 
 import math
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +16,6 @@ from pgf_jax.guidance.operators import register_operator
 from pgf_jax.guidance.predictor import FEATURES, combine, init
 from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, register_engine
 from pgf_jax.planning.types import Push
-from pgf_jax.study import sweep_run
 from pgf_jax.study.sweep_config import SweepConfig
 
 GRIP_SCALE = 9e3  # of the four tasks of two robots, seed 0, one times out and one ends stuck
@@ -78,9 +79,15 @@ class Eager(WhenStuck):
 register_policy("eager", lambda config: Eager(Discipline.LINE))
 
 
-def cells_of_a_process(part, say, stop):
-    """What a process of a sweep does, where the toys are known."""
-    return sweep_run._cells_of_a_process(part, say, stop)
+def processes(count: int) -> ProcessPoolExecutor:
+    """An executor whose processes know the toys."""
+    return ProcessPoolExecutor(
+        count, mp_context=multiprocessing.get_context("spawn"), initializer=_know_the_toys
+    )
+
+
+def _know_the_toys() -> None:
+    """Whoever is to call this has imported the module."""
 
 
 def ghost(out: Path, **changes) -> SweepConfig:
@@ -172,8 +179,19 @@ def ways(*logs: pl.DataFrame) -> Ways:
     return found
 
 
-def content(out: Path, names=RESULTS) -> dict[str, bytes]:
+def content(out: Path, names=(*RESULTS, "manifest.json")) -> dict[str, bytes]:
     return {name: (out / name).read_bytes() for name in names}
+
+
+def cell_files(out: Path) -> dict[str, bytes]:
+    """A sweep's cells, without what varies from run to run."""
+    return {path.name: path.read_bytes() for path in (out / "cells").glob("*.parquet")}
+
+
+def untouched(*files: Path) -> dict[Path, tuple[int, int]]:
+    """Of files, and of those below folders: changes when one is written, be it with the same."""
+    found = [p for file in files for p in (file, *file.rglob("*")) if p.is_file()]
+    return {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in found}
 
 
 def tree(folder: Path) -> dict[str, bytes]:

@@ -21,7 +21,7 @@ from pgf_jax.guidance.tables import read_provenance
 from pgf_jax.guidance.train_config import TrainConfig
 from pgf_jax.guidance.training import train
 from pgf_jax.planning.types import UNANSWERED, Push, Status
-from pgf_jax.study import collect_sessions
+from pgf_jax.study import collect_sessions, results
 from pgf_jax.study.collect import collect
 from pgf_jax.study.collect_config import CollectConfig
 from pgf_jax.study.event_log import JOURNAL, TABLE, digest, read_log, write_log
@@ -326,8 +326,10 @@ def test_logs_are_looked_at_before_any_is_replayed(tmp_path, session, monkeypatc
 
 
 def test_the_log_of_a_sweep_is_none_of_a_session(tmp_path):
-    sweep(ghost(tmp_path / "sweep", robots=(1,), policies=("autonomous",), tasks=1), quiet=True)
-    log = tmp_path / "sweep" / "cells" / "autonomous_R1" / TABLE
+    config = ghost(tmp_path / "sweep", robots=(1,), policies=("autonomous",), tasks=1)
+    result = sweep(config, quiet=True)
+    log = tmp_path / TABLE
+    log.write_bytes(results.parquet(result.cell(config.cells()[0]).events))
     with pytest.raises(BadInput, match="does not say its settings, expected the log of a session"):
         collect(settings(tmp_path, log))
 

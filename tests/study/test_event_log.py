@@ -428,7 +428,7 @@ def test_a_journal_is_on_the_disk_when_append_returns(tmp_path, monkeypatch):
     path = tmp_path / JOURNAL
     monkeypatch.setattr(os, "fsync", spy)
     writer = Journal(path, ABOUT)
-    assert len(synced) == 2  # the file and its folder
+    assert len(synced) == 3  # the file and its folder, and its length
     for number, event in enumerate(FEW):
         writer.append([event])
         # All of it had left this process when the last fsync returned.

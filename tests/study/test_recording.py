@@ -494,10 +494,16 @@ def test_an_operator_who_is_not_there(session, tmp_path):
 
 
 def test_a_log_of_a_sweep_is_not_replayed(tmp_path):
-    found = pgf_jax.sweep(ghost(tmp_path / "sweep", robots=(1,), tasks=1), quiet=True)
-    for log in (found.out, found.out / "cells" / "or-hitl_R1" / TABLE):
+    config = ghost(tmp_path / "sweep", robots=(1,), tasks=1)
+    found = pgf_jax.sweep(config, quiet=True)
+    cell = config.cells()[0]
+    one = tmp_path / TABLE  # of one fleet, as that of a session
+    one.write_bytes(results.parquet(found.cell(cell).events))
+    for log in (found.out, one):
         with pytest.raises(BadInput, match="does not say its settings"):
             swept(log, tmp_path / "out")
+    with pytest.raises(BadInput, match=rf"{found.files[cell]}: column time_ns must be Int64, got"):
+        swept(found.files[cell], tmp_path / "out")
 
 
 def test_two_logs_in_one_process(session, tmp_path):

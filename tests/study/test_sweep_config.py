@@ -9,7 +9,7 @@ import tyro
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.policies import policy_names
-from pgf_jax.study.sweep_config import Cell, SweepConfig
+from pgf_jax.study.sweep_config import HOW, INPUTS, Cell, SweepConfig
 
 
 def test_quick_is_forty_tasks():
@@ -195,6 +195,46 @@ def test_command_line_flags():
     assert tyro.cli(SweepConfig, args=words) == SweepConfig(
         scene_class="all", random_winner=0.25, policies=("oracle-gain",)
     )
+
+
+def test_the_settings_of_one_cell():
+    """Named in full, so that what the defaults of a version are does not matter."""
+    config = SweepConfig(
+        preset="quick",
+        engine="native",
+        workers=2,
+        seed=5,
+        predictor="best",
+        resume=True,
+        scenes=None,
+        json=True,
+    )
+    own = config.of_cell(config.cells()[1])
+    names = {field.name for field in dataclasses.fields(SweepConfig)}
+    assert names - own.keys() == {*HOW, *INPUTS} and own.keys() <= names
+    assert (own["robots"], own["policies"], own["tasks"]) == ([4], ["pgf"], 4)
+    assert (own["scene_class"], own["lanes"], own["seed"]) == ("tight", 1, 5)
+    assert config.inputs() == {"scenes": None, "predictor": "best", "log": None}
+    alone = SweepConfig(**own, predictor="best")  # pyright: ignore[reportArgumentType]
+    assert alone.cells() == (config.cells()[1],)
+    assert alone.fleet(alone.cells()[0]) == config.fleet(config.cells()[1])
+    files = SweepConfig(scenes=Path("a/b"), predictor="best:c")
+    assert files.inputs() == {"scenes": "a/b", "predictor": "best:c", "log": None}
+    assert files.of_cell(files.cells()[0])["scene_class"] == files.sampled_class()
+
+
+@pytest.mark.parametrize("scheduler", ["tcp://here:1", "tls://10.0.0.1:8786", "slurm:12"])
+def test_schedulers(scheduler):
+    config = SweepConfig(scheduler=scheduler)
+    assert config == tyro.cli(SweepConfig, args=["--scheduler", scheduler])
+
+
+@pytest.mark.parametrize(
+    "scheduler", ["", "here:1", "tcp://here", "tcp://a b:1", "tcp://a/b:1", "slurm:0", "slurm:"]
+)
+def test_what_is_no_scheduler(scheduler):
+    with pytest.raises(BadInput, match="scheduler: expected tcp://HOST:PORT"):
+        SweepConfig(scheduler=scheduler)
 
 
 def test_every_field_has_its_help():

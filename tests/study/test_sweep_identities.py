@@ -37,17 +37,13 @@ def fleets(request, tmp_path_factory):
         out=out,
         **changes,
     )
-    sweep(config, quiet=True)
-    found = []
+    result = sweep(config, quiet=True)
+    found, merged = [], (result.tasks(), result.events())
     for cell in config.cells():
         own = (pl.col("policy") == cell.policy) & (pl.col("robots") == cell.robots)
-        tables = []
-        for name, schema in results.CELL_FILES.items():
-            table = results.read_results(out / "cells" / cell.name / name, schema)
-            merged = results.read_results(out / name, results._CELL_COLUMNS | schema)
-            assert merged.filter(own).select(table.columns).equals(table)
-            tables.append(table)
-        tasks, events = tables
+        tasks, events = result.cell(cell).tasks, result.cell(cell).events
+        for table, all_ in zip((tasks, events), merged, strict=True):
+            assert all_.filter(own).select(table.columns).equals(table)
         found.append((config.fleet(cell), results.task_records(tasks), results.event_log(events)))
     return request.param, found
 
@@ -77,6 +73,51 @@ def test_identities_hold_on_real_runs(fleets):
     if name == "two operators":
         grants = [event for event in events if event.kind is EventKind.GRANT]
         assert {event.operator for event in grants} == {0, 1}
+
+
+def test_invariants_of_real_runs(fleets):
+    """What must hold whatever the numbers are; read from the log event by event."""
+    _, found = fleets
+    seen = set()
+    for config, records, events in found:
+        times = [event.time_ns for event in events]
+        assert times == sorted(times) and times[0] >= 0
+        serving: dict = {}  # operator -> whom
+        asked: dict = {}  # (robot, task) -> how its open ask stands
+        task_of: dict = {}
+        ends: dict = {}
+        for event in events:
+            whose = (event.robot, event.task)
+            if event.kind is EventKind.TASK_START:
+                assert event.robot not in task_of and whose not in ends  # one at a time, and once
+                task_of[event.robot], ends[whose] = event.task, []
+            elif event.robot is not None:
+                assert task_of[event.robot] == event.task
+            if event.kind is EventKind.BID:
+                assert whose not in asked
+                asked[whose] = "open"
+            elif event.kind is EventKind.REFUSED:
+                assert asked.pop(whose) == "open"
+                seen.add("refused")
+            elif event.kind is EventKind.EXPIRED:
+                assert asked.pop(whose) == "open"
+                seen.add("expired")
+            elif event.kind is EventKind.GRANT:
+                assert asked[whose] == "open" and event.operator not in serving
+                assert event.operator in range(config.operators)
+                asked[whose], serving[event.operator] = "granted", whose
+            elif event.kind is EventKind.SERVICE_END:
+                assert asked.pop(whose) == "granted" and serving.pop(event.operator) == whose
+                seen.add("answered" if event.outcome in ("push", "go_on") else "expired")
+            elif event.kind is EventKind.TASK_END:
+                assert whose not in asked
+                ends[whose].append(event.outcome)
+                del task_of[event.robot]
+        assert not serving and not asked and not task_of
+        assert {whose: [status] for whose, (status,) in ends.items()} == {
+            (record.robot, record.task): [record.status.value] for record in records
+        }
+    assert {"answered", "refused"} <= seen
 
 
 def test_attention_of_real_runs(fleets):

@@ -1,5 +1,6 @@
 import dataclasses
 import io
+import json
 import math
 
 import numpy as np
@@ -9,59 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.container import ErrorbarContainer
 from rich.console import Console
+from stub_fleets import mixed_fleet, run, solved_after
 
 from pgf_jax.errors import BadInput
-from pgf_jax.fleet import Fleet, FleetConfig, WorkKind
+from pgf_jax.fleet import WorkKind
 from pgf_jax.fleet.metrics import summarise
-from pgf_jax.fleet.stub import StubRobots, drive, outcome
-from pgf_jax.planning.types import Push, Status
+from pgf_jax.fleet.stub import outcome
+from pgf_jax.planning.types import Status
 from pgf_jax.study import results
 from pgf_jax.study.figures import figure6, png
 from pgf_jax.study.sweep_config import Cell
-from pgf_jax.study.sweep_report import Report, summary_tables
+from pgf_jax.study.sweep_report import BARS, Report, summary_tables
 from pgf_jax.study.sweep_run import Job
-
-
-def run(policy="or-hitl", *, robots=1, tasks=3, iterate=None, decide=lambda work: None, **changes):
-    stub = StubRobots(iterate or (lambda work: outcome(feasible=True)), decide)
-    config = FleetConfig(robots=robots, tasks=tasks, policy=policy, **changes)
-    fleet = Fleet(config, stub)
-    drive([(fleet, stub)])
-    return fleet
-
-
-def solved_after(iterations):
-    """Task i is solved in iterations[i] iterations; None: never, and stuck all along."""
-
-    def iterate(work):
-        wanted = iterations[work.task]
-        return outcome(
-            feasible=wanted is not None and work.iteration >= wanted,
-            stuck=wanted is None,
-            gain=float(work.iteration) if work.iteration > 3 else math.nan,
-        )
-
-    return iterate
-
-
-def mixed(work):
-    """Pushes, failures, gains and costs that are not finite."""
-    if work.task == 1:
-        return outcome(cost=math.inf, non_finite=True, stuck=work.iteration > 4)
-    return outcome(
-        feasible=work.iteration > 6, stuck=work.iteration == 2 + work.robot, gain=work.iteration
-    )
-
-
-def mixed_fleet(**changes):
-    return run(
-        "pgf",
-        robots=3,
-        tasks=3,
-        iterate=mixed,
-        decide=lambda work: Push(work.robot, 0.4, 0.1),
-        **changes,
-    )
 
 
 def test_summary_against_hand_computation():
@@ -91,6 +51,33 @@ def test_summary_against_hand_computation():
     assert merged.columns == list(results.MERGED_TASK_SCHEMA)
     assert merged["planning_time_s"].to_list() == times
     assert merged["scene"].to_list() == ["scene_0", "scene_1", "scene_2"]
+
+
+def test_what_broke_by_hand(tmp_path):
+    """Task 0 breaks at its iterations 1 and 3 of 0..4; rollouts of iteration i, i are saturated."""
+
+    def iterate(work):
+        return outcome(
+            feasible=work.iteration == 4,
+            non_finite=work.task == 0 and work.iteration in (1, 3),
+            saturated=work.iteration,
+        )
+
+    fleet = run(iterate=iterate, tasks=2, policy="autonomous")
+    frame = results.tasks_frame(fleet.records, lambda robot, task: "x")
+    assert frame["non_finite"].to_list() == [2, 0]
+    assert frame["non_finite_at"].to_list() == [[1, 3], []]
+    assert frame["saturated"].to_list() == [10, 10]
+    path = tmp_path / "tasks.parquet"
+    path.write_bytes(results.parquet(frame))
+    again = results.task_records(results.read_results(path, results.TASK_SCHEMA))
+    assert again == fleet.records
+    row = results.summary_frame([summarise(fleet.config, again, fleet.events)]).row(0, named=True)
+    assert (row["non_finite"], row["saturated"]) == (2, 20)
+    # Of an iteration that broke it is known which.
+    path.write_bytes(results.parquet(frame.with_columns(non_finite_at=pl.Series([[1, None], []]))))
+    with pytest.raises(BadInput, match="non_finite_at is missing in 1 rows"):
+        results.read_results(path, results.TASK_SCHEMA)
 
 
 def frame_of(fleet):
@@ -171,48 +158,6 @@ def test_event_columns_are_exactly_the_documented_ones():
 
 
 # -- files -------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def cell_files(tmp_path):
-    fleet = mixed_fleet()
-    cell = Cell("pgf", 3, 3)
-    tasks = results.tasks_frame(fleet.records, lambda robot, task: "x")
-    results.write_cell(tmp_path, cell, {"a": 1}, tasks, frame_of(fleet))
-    return tmp_path, cell, tasks, frame_of(fleet)
-
-
-def test_cell_comes_back(cell_files):
-    out, cell, *frames = cell_files
-    for read, written in zip(results.read_cell(out, cell), frames, strict=True):
-        assert read.equals(written)
-    names = sorted(path.name for path in (out / "cells" / "pgf_R3").iterdir())
-    assert names == ["cell.json", "events.parquet", "tasks.parquet"]
-
-
-@pytest.mark.parametrize("name", ["tasks.parquet", "events.parquet"])
-@pytest.mark.parametrize("size", [0, 4, 100, -1])
-def test_truncated_cell_file_is_named(cell_files, name, size):
-    out, cell, *_ = cell_files
-    path = out / "cells" / "pgf_R3" / name
-    path.write_bytes(path.read_bytes()[:size])
-    with pytest.raises(BadInput, match=f"{path}: truncated or corrupt.*delete .*pgf_R3"):
-        results.read_cell(out, cell)
-    path.unlink()
-    with pytest.raises(BadInput, match=f"{path}: no such file"):
-        results.read_cell(out, cell)
-
-
-@pytest.mark.parametrize("text", ["", "{", '{"files": ', "\xff\xfe", "[1]"])
-def test_corrupt_cell_record_is_named(cell_files, text):
-    out, cell, *_ = cell_files
-    path = out / "cells" / "pgf_R3" / "cell.json"
-    path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(BadInput, match=f"{path}: (truncated or corrupt|expected a JSON object)"):
-        results.read_cell(out, cell)
-    path.write_text("{}")
-    with pytest.raises(BadInput, match=r"tasks.parquet: truncated or corrupt"):
-        results.read_cell(out, cell)
 
 
 def test_read_results_names_file_and_column(tmp_path):
@@ -303,13 +248,16 @@ def test_progress_without_a_terminal_is_lines():
     jobs = [Job(0, cell) for cell in (Cell("pgf", 1, 4), Cell("pgf", 2, 4), Cell("always", 1, 4))]
     with Report(jobs, [jobs[2]], console) as report:
         report.progress(jobs[0], 1, 1800 * 10**9)
-        report.finished(jobs[1])
+        report.finished(jobs[1], {})
+        report.again(2, "a process ended early")
         report.interrupted("there")
+    assert report.sent_again == 2
     lines = file.getvalue().splitlines()
     assert lines[0] == "kept: always_R1"
     assert lines[1].startswith("finished pgf_R2; 9/12 tasks, 1/2 cells, 0.50 h simulated, ")
-    assert lines[2].startswith("interrupted: 1 of 2 cells were finished and are kept in there; ")
-    assert "--resume" in lines[2] and len(lines) == 3
+    assert lines[2] == "a process ended early: 2 cells are computed again"
+    assert lines[3].startswith("interrupted: 1 of 2 cells were finished and are kept in there; ")
+    assert "--resume" in lines[3] and len(lines) == 4
 
 
 def test_progress_of_several_sweeps_says_which():
@@ -319,8 +267,8 @@ def test_progress_of_several_sweeps_says_which():
     with Report(jobs, [jobs[1], jobs[3]], Console(file=file, width=30)) as report:
         report.progress(jobs[0], 3, 1800 * 10**9)
         report.progress(jobs[2], 1, 900 * 10**9)
-        report.finished(jobs[2])
-        report.finished(jobs[0])
+        report.finished(jobs[2], {})
+        report.finished(jobs[0], {})
         report.interrupted("here", "there", "elsewhere")
     lines = file.getvalue().splitlines()
     assert lines[0] == "kept: 0:always_R1, 1:always_R1"
@@ -336,13 +284,56 @@ def test_progress_on_a_terminal_and_quiet():
     job = Job(0, Cell("pgf", 2, 4))
     with Report([job], [], console) as report:
         report.progress(job, 3, 1800 * 10**9)
-        report.finished(job)
+        report.finished(job, {})
     text = file.getvalue()
     assert "pgf, R = 2" in text and "8/8" in text and "0.50 h simulated" in text
     quiet = Console(file=silence, force_terminal=True)
     with Report([job], [job], quiet, quiet=True) as report:
         report.interrupted("there")
     assert silence.getvalue() == ""
+
+
+def test_many_cells_share_a_bar_and_a_line():
+    jobs = [Job(0, Cell("pgf", robots, 1)) for robots in range(1, 2 * BARS + 3)]
+    for terminal in (False, True):
+        file = io.StringIO()
+        console = Console(file=file, force_terminal=terminal, width=100)
+        with Report(jobs, jobs[: BARS + 1], console) as report:
+            for job in jobs[BARS + 1 :]:
+                report.finished(job, {})
+        text = file.getvalue()
+        assert text.startswith("kept: 17 cells\n")
+        assert "finished" not in text and "pgf" not in text
+        tasks = sum(range(BARS + 2, 2 * BARS + 3))
+        assert (f"{tasks}/{tasks}" in text) == terminal
+
+
+def test_a_line_of_json_for_each_cell(capsys):
+    jobs = [Job(0, Cell("pgf", 2, 4)), Job(1, Cell("always", 1, 4))]
+    file = io.StringIO()
+    with Report(jobs, [], Console(file=file, width=30), json=True) as report:
+        report.progress(jobs[1], 1, 10**9)
+        account = {"sha256": "ab", "wall_s": 1.5, "attempt": 2, "host": {"name": "here"}}
+        report.finished(jobs[0], account)
+        report.finished(jobs[1], {})
+    first, second = map(json.loads, capsys.readouterr().out.splitlines())
+    assert first.pop("tasks_per_s") > 0 and first.pop("left_s") >= 0
+    assert first == account | {
+        "host": "here",
+        "sweep": 0,
+        "cell": "pgf_R2",
+        "tasks": 8,
+        "cells_done": 1,
+        "cells": 2,
+        "tasks_done": 9,
+        "tasks_in_all": 12,
+    }
+    assert (second["cell"], second["cells_done"], second["tasks_done"]) == ("always_R1", 2, 12)
+    assert (second["host"], second["left_s"]) == (None, 0.0)
+    assert len(file.getvalue().splitlines()) == 2  # as without
+    with Report(jobs, [], Console(file=file), json=True, quiet=True) as report:
+        report.finished(jobs[0], {})
+    assert capsys.readouterr().out == ""
 
 
 def test_schema_covers_every_field_of_a_record():

@@ -2,24 +2,38 @@ import dataclasses
 import json
 import os
 import re
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sweep_toys import RESULTS, content, ghost, tree, ways, write_checkpoints, write_scene
+from sweep_toys import (
+    RESULTS,
+    cell_files,
+    content,
+    ghost,
+    tree,
+    untouched,
+    ways,
+    write_checkpoints,
+    write_scene,
+)
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
 from pgf_jax.guidance import bidders
 from pgf_jax.guidance.predictor import Direct
 from pgf_jax.guidance.true_gain import TrueGain
-from pgf_jax.study import results, sweep_setup
+from pgf_jax.study import cells, results, sweep_setup
 from pgf_jax.study import sweep as sweep_module
+from pgf_jax.study.dispatch import TURNS, shares
+from pgf_jax.study.folder import keys_of
+from pgf_jax.study.provenance import git_commit
 from pgf_jax.study.sweep import sweep
 from pgf_jax.study.sweep_config import Cell, SweepConfig
-from pgf_jax.study.sweep_run import Job, run_cells_in_processes, shares
+from pgf_jax.study.sweep_run import Job
 from pgf_jax.study.sweep_setup import identity, prepare, task_scene
 
 
@@ -40,21 +54,33 @@ def whole(tmp_path_factory):
     return out, sweep(ghost(out), quiet=True)
 
 
+def read_json(out, name="manifest.json"):
+    return json.loads((out / name).read_text())
+
+
+def named(result) -> dict[str, Path]:
+    """The cells' files by the cells' names."""
+    return {cell.name: file for cell, file in result.files.items()}
+
+
 # -- what comes out ----------------------------------------------------------------------------
 
 
 def test_files_and_columns(whole):
     out, result = whole
     assert sorted(path.name for path in out.iterdir()) == sorted(
-        [*RESULTS, "manifest.json", "cells"]
+        [*RESULTS, "manifest.json", "run.json", "cells"]
+    )
+    beside = [str(file.with_suffix(".json")) for file in result.files.values()]
+    assert sorted(map(str, (out / "cells").iterdir())) == sorted(
+        [*map(str, result.files.values()), *beside]
     )
     tasks, events = result.tasks(), result.events()
     assert tasks.columns[:5] == ["policy", "robots", "robot", "task", "scene"]
     assert events.columns[:2] == ["policy", "robots"]
     assert events.columns[2:] == list(results.EVENT_SCHEMA)
-    assert pl.read_parquet(out / "cells/or-hitl_R2/events.parquet").columns == events.columns[2:]
-    cells = tasks.group_by("policy", "robots", maintain_order=True).len().rows()
-    assert cells == [
+    rows = tasks.group_by("policy", "robots", maintain_order=True).len().rows()
+    assert rows == [
         ("or-hitl", 1, 2),
         ("or-hitl", 2, 4),
         ("autonomous", 1, 2),
@@ -62,6 +88,20 @@ def test_files_and_columns(whole):
     ]
     assert result.computed == ("or-hitl_R1", "or-hitl_R2", "autonomous_R1", "autonomous_R2")
     assert (out / "fig6.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+
+
+def test_cells_hold_what_was_merged(whole):
+    out, result = whole
+    tasks, events = result.tasks(), result.events()
+    assert [cell.name for cell in result.files] == list(result.computed)
+    for cell, file in result.files.items():
+        found = result.cell(cell)
+        own = (pl.col("policy") == cell.policy) & (pl.col("robots") == cell.robots)
+        assert found.tasks.equals(tasks.filter(own).drop("policy", "robots"))
+        assert found.events.equals(events.filter(own).drop("policy", "robots"))
+        assert found.about["identity"]["fleet"]["policy"] == cell.policy
+        assert file == out / "cells" / f"{cells.key(found.about['identity'])}.parquet"
+        assert file.read_bytes() == found.data()
 
 
 def test_summary_says_what_the_tasks_say(whole):
@@ -106,19 +146,19 @@ def test_same_seed_same_files_other_seed_others(whole, tmp_path):
     out, _ = whole
     sweep(ghost(tmp_path / "again"), quiet=True)
     assert content(tmp_path / "again") == content(out)
-    assert tree(tmp_path / "again" / "cells") == tree(out / "cells")
+    assert cell_files(tmp_path / "again") == cell_files(out)
     sweep(ghost(tmp_path / "other", seed=1), quiet=True)
     assert content(tmp_path / "other")["tasks.parquet"] != content(out)["tasks.parquet"]
 
 
 def test_cells_do_not_depend_on_their_company(whole, tmp_path):
     """Nor on the order in which they were asked for."""
-    out, _ = whole
+    _, result = whole
     for policy in ("autonomous", "or-hitl"):
         config = ghost(tmp_path / policy, policies=(policy,), robots=(2,))
-        sweep(config, quiet=True)
-        name = f"cells/{policy}_R2"
-        assert tree(tmp_path / policy / name) == tree(out / name)
+        ((cell, file),) = sweep(config, quiet=True).files.items()
+        assert file.name == result.files[cell].name
+        assert file.read_bytes() == result.files[cell].read_bytes()
 
 
 def test_paired_file_compares_the_policies(whole):
@@ -145,32 +185,48 @@ def test_horizon_censors(tmp_path):
 
 def test_manifest(whole):
     out, result = whole
-    manifest = json.loads((out / "manifest.json").read_text())
+    manifest, run = read_json(out), read_json(out, "run.json")
     for name in RESULTS:
         assert manifest["files"][name] == results.sha256((out / name).read_bytes())
     assert (manifest["engine"], manifest["lanes"], manifest["rollouts"]) == ("ghost", 4, 8)
     assert manifest["physics"]["substep_s"] == pytest.approx(3.0 / 8 / 36)
-    assert manifest["config"]["robots"] == [1, 2] and manifest["config"]["out"] == str(out)
+    assert manifest["config"]["robots"] == [1, 2] and run["out"] == str(out)
+    assert not manifest["config"].keys() & {"out", "workers", "resume", "preset", "scheduler"}
+    for cell, said in zip(result.files, manifest["cells"], strict=True):
+        assert (said["policy"], said["robots"], said["tasks"]) == dataclasses.astuple(cell)
+        assert out / said["file"] == result.files[cell]
+        assert said["sha256"] == results.sha256(result.files[cell].read_bytes())
     assert manifest["scenes"] == {"class": "tight", "objects": 20}
     assert manifest["versions"].keys() >= {"python", "jax", "mujoco", "mujoco-mjx", "flax", "numpy"}
-    assert manifest["wall_clock"]["wall_s"] > 0 and len(manifest["wall_clock"]["compile_s"]) == 1
+    assert manifest["code"]["source_sha256"] and "endian" in manifest["processor"]
+    assert run["wall_clock"]["wall_s"] > 0 and len(run["wall_clock"]["compile_s"]) == 1
     # Without a horizon every iteration that was asked for ended; those of fleets that had gone the
     # same way were computed once, each in a lane of its own.
-    iterations = manifest["iterations"]
+    iterations = run["iterations"]
     assert iterations["of_robots"] == (result.events()["kind"] == "iteration").sum()
-    cells = result.events().partition_by("policy", "robots")
-    assert iterations["computed"] == len(ways(*cells).iterations) < iterations["of_robots"]
-    occupancy = manifest["occupancy"]
+    logs = result.events().partition_by("policy", "robots")
+    assert iterations["computed"] == len(ways(*logs).iterations) < iterations["of_robots"]
+    occupancy = run["occupancy"]
     assert occupancy["used"] == iterations["computed"]
     assert occupancy["computed"] == 4 * occupancy["calls"]
     assert occupancy["share"] == iterations["computed"] / occupancy["computed"]
-    assert manifest["workers"] == manifest["wall_clock"]["sweeps_run_together"] == 1
-    assert [cell["kept"] for cell in manifest["cells"]] == [False] * 4
+    assert run["workers"] == run["batches"] == run["wall_clock"]["sweeps_run_together"] == 1
+    assert run["cells_kept"] == [] and run["cells_sent_again"] == 0
+
+
+def test_what_is_said_beside_a_cell(whole):
+    _, result = whole
+    accounts = [cells.read_account(file) for file in result.files.values()]
+    for (cell, file), account in zip(result.files.items(), accounts, strict=True):
+        assert account["cell"] == cell.name and account["bytes"] == file.stat().st_size
+        assert account["host"]["pid"] == os.getpid() and account["attempt"] == 1
+        assert account["began"] < account["ended"] and account["wall_s"] > 0
+        assert account["inputs"] == {"scenes": None, "predictor": "paper", "log": None}
+        assert account["computed_together"] == 4
+    assert len({account["session"] for account in accounts}) == 1
 
 
 def test_git_commit(tmp_path):
-    from pgf_jax.study.manifest import git_commit
-
     assert git_commit(tmp_path) is None
     (tmp_path / ".git").mkdir()  # not a repository
     assert git_commit(tmp_path) is None
@@ -194,7 +250,7 @@ def test_pgf_bids_the_gains_of_the_checkpoints(tmp_path):
     assert len(later) > 0 and later["gain"].null_count() == 0
     bids = events.filter(pl.col("kind") == "bid")
     assert set(bids["policy"]) == {"pgf"} and (bids["gain"] > 1.0).all()
-    trained = json.loads((out / "manifest.json").read_text())["predictors"]
+    trained = read_json(out)["predictors"]
     assert trained["phi_auto"]["data_sha256"] == "digest of phi_auto"
     assert trained["phi_human"]["scenes"] == 41
     digest = results.sha256((folder / "phi_auto.msgpack").read_bytes())
@@ -223,7 +279,7 @@ def test_pgf_bids_the_best_predictor_s_gains(tmp_path, monkeypatch):
     bids = events.filter(pl.col("kind") == "bid")
     predicted = bids.filter(pl.col("gain").is_finite())["gain"]  # the stuck ones bid inf
     assert len(predicted) > 0 and set(predicted) <= set(logged) and (predicted > 1).all()
-    trained = json.loads((out / "manifest.json").read_text())["predictors"]
+    trained = read_json(out)["predictors"]
     assert list(trained) == ["gain"] and trained["gain"]["data_sha256"] == "digest of gain"
 
 
@@ -249,18 +305,18 @@ def test_the_classifier_bids_where_failure_is_likely(tmp_path):
     for bid in bids.rows(named=True):
         row = logged[bid["robot"], bid["task"], bid["iteration"]]
         assert row["outcome"] == "stuck" or row["gain"] > 0.5
-    trained = json.loads((out / "manifest.json").read_text())["predictors"]
+    trained = read_json(out)["predictors"]
     assert sorted(trained) == ["failure", "phi_auto", "phi_human"]
 
 
 def test_a_cell_s_identity_names_the_predictor_that_it_used(tmp_path):
     first = write_checkpoints(tmp_path / "first")
     second = write_checkpoints(tmp_path / "second", seed=1)
-    cells = {policy: Cell(policy, 1, 2) for policy in ("pgf", "classifier", "autonomous")}
+    own = {policy: Cell(policy, 1, 2) for policy in ("pgf", "classifier", "autonomous")}
 
     def used(predictor, policy):
-        setup = prepare(ghost(tmp_path / "out", policies=tuple(cells), predictor=predictor))
-        return identity(setup, cells[policy])["predictors"]
+        setup = prepare(ghost(tmp_path / "out", policies=tuple(own), predictor=predictor))
+        return identity(setup, own[policy])["predictors"]
 
     texts = [f"{name}:{folder}" for name in ("paper", "best") for folder in (first, second)]
     for policy, different in (("pgf", 4), ("autonomous", 4), ("classifier", 2)):
@@ -272,7 +328,7 @@ def test_a_cell_s_identity_names_the_predictor_that_it_used(tmp_path):
     assert used(texts[3], "classifier") == {"failure": digest}
     # Who else is in the sweep does not matter.
     alone = prepare(ghost(tmp_path / "out", policies=("pgf",), predictor=texts[2]))
-    assert identity(alone, cells["pgf"])["predictors"] == used(texts[2], "pgf")
+    assert identity(alone, own["pgf"])["predictors"] == used(texts[2], "pgf")
     assert alone.classifier is None
 
 
@@ -327,7 +383,7 @@ def test_scenes_of_a_folder(tmp_path):
     names = {"shelf_1", "shelf_2", "shelf_10"}
     for robot in (0, 1):
         assert set(result.tasks().filter(pl.col("robot") == robot)["scene"]) == names
-    about = json.loads((out / "manifest.json").read_text())["scenes"]
+    about = read_json(out)["scenes"]
     assert (about["files"], about["objects"]) == (3, 4)
 
 
@@ -356,35 +412,30 @@ def test_sampled_scenes_differ_by_seed_robot_and_task():
     ]
     assert len({scene.objects.tobytes() for scene in scenes}) == len(scenes)
     assert scenes[3].name == "tight_0_1_1"
-    setup = prepare(ghost(sweep_module.Path("x")))
+    setup = prepare(ghost(Path("x")))
     assert setup.scene_name(1, 1) == setup.scene(1, 1).name == "tight_0_1_1"
 
 
 # -- resuming ----------------------------------------------------------------------------------
 
 
-def untouched(folder):
-    """Changes when a file is written, even with the same content."""
-    return {path: path.stat().st_ino for path in sorted(folder.rglob("*")) if path.is_file()}
-
-
 def test_resume_computes_only_what_is_missing(whole, tmp_path, monkeypatch):
     out = tmp_path / "out"
     config = ghost(out)
-    sweep(config, quiet=True)
-    cells = sweep_module.Path(out) / "cells"
-    for path in (cells / "or-hitl_R2").iterdir():
+    files = named(sweep(config, quiet=True))
+    for path in (files["or-hitl_R2"], cells.sidecar(files["or-hitl_R2"])):
         path.unlink()
-    (cells / "autonomous_R1" / "cell.json").unlink()  # interrupted before its last file
-    kept = {p: untouched(cells / p) for p in ("or-hitl_R1", "autonomous_R2")}
+    files["autonomous_R1"].unlink()  # interrupted before its last file
+    kept = [files[name] for name in ("or-hitl_R1", "autonomous_R2")]
+    kept += [cells.sidecar(file) for file in kept]
+    before = untouched(*kept)
     result = sweep(dataclasses.replace(config, resume=True), quiet=True)
     assert result.computed == ("or-hitl_R2", "autonomous_R1")
-    assert {p: untouched(cells / p) for p in kept} == kept
-    assert content(out) == content(whole[0])
-    manifest = json.loads((out / "manifest.json").read_text())
-    assert [cell["kept"] for cell in manifest["cells"]] == [True, False, False, True]
+    assert untouched(*kept) == before and len(before) == 4
+    assert content(out) == content(whole[0]) and cell_files(out) == cell_files(whole[0])
+    assert read_json(out, "run.json")["cells_kept"] == ["or-hitl_R1", "autonomous_R2"]
 
-    monkeypatch.setattr(sweep_module, "run_cells", None)  # nothing is left to compute
+    monkeypatch.setattr(sweep_module, "dispatch", None)  # nothing is left to compute
     for name in RESULTS:
         (out / name).unlink()
     assert sweep(dataclasses.replace(config, resume=True), quiet=True).computed == ()
@@ -407,41 +458,52 @@ def test_resume_of_nothing_starts(whole, tmp_path):
 def test_again_without_resume_computes_again(whole, tmp_path):
     out = tmp_path / "out"
     config = ghost(out, policies=("autonomous",))
-    sweep(config, quiet=True)
-    before, files = tree(out / "cells"), untouched(out / "cells")
+    files = named(sweep(config, quiet=True))
+    before, written = cell_files(out), untouched(out / "cells")
     assert sweep(config, quiet=True).computed == ("autonomous_R1", "autonomous_R2")
-    assert tree(out / "cells") == before
-    assert all(files[path] != inode for path, inode in untouched(out / "cells").items())
+    assert cell_files(out) == before
+    assert all(written[path] != now for path, now in untouched(out / "cells").items())
+    # Whatever has become of them.
+    files["autonomous_R1"].write_bytes(b"PAR1")
+    cells.sidecar(files["autonomous_R2"]).unlink()
+    assert sweep(config, quiet=True).computed == ("autonomous_R1", "autonomous_R2")
+    assert cell_files(out) == before and len(before) == 2
 
 
-@pytest.mark.parametrize("at", ["cell.json", "events.parquet"])
+@pytest.mark.parametrize("at", ["after the first", "in the second"])
 def test_interruption_keeps_finished_cells(whole, tmp_path, monkeypatch, capsys, at):
     """Ctrl-C right after the first cell, or in the middle of writing the second."""
     out = tmp_path / "out"
-    write, written = results.write_atomically, []
+    write, written = cells.write_atomically, []
 
     def interrupted(path, data):
-        if at == "events.parquet" and path.name == at and len(written) >= 3:
+        is_cell = path.suffix == ".parquet"
+        if at == "in the second" and is_cell and written:
             raise KeyboardInterrupt
         write(path, data)
-        written.append(path)
-        if at == "cell.json" and path.name == at:
+        if is_cell:
+            written.append(path)
+        if at == "after the first" and is_cell:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(results, "write_atomically", interrupted)
+    monkeypatch.setattr(cells, "write_atomically", interrupted)
     with pytest.raises(KeyboardInterrupt):
         sweep(ghost(out))
-    finished = [path.parent.name for path in out.rglob("cell.json")]
-    assert len(finished) == 1
+    assert [*out.rglob("*.parquet")] == written
+    (finished,) = [
+        cell.name for cell, key in keys_of(prepare(ghost(out))).items() if key == written[0].stem
+    ]
+    assert len([*out.rglob("*.json")]) == 1 + (at == "in the second")
     assert {p.name for p in out.iterdir()} == {"cells"}
     assert not [p for p in out.rglob("*") if p.name.startswith(".")]
     said = " ".join(capsys.readouterr().err.split())
     # The interruption after the file of the first cell comes before it is counted.
-    assert re.search(f"interrupted: [01] of 4 cells .* kept in {out}; .* --resume", said)
+    counted = int(at == "in the second")
+    assert re.search(f"interrupted: {counted} of 4 cells .* kept in {out}; .* --resume", said)
     monkeypatch.undo()
     result = sweep(ghost(out, resume=True), quiet=True)
-    assert finished[0] not in result.computed and len(result.computed) == 3
-    assert content(out) == content(whole[0])
+    assert finished not in result.computed and len(result.computed) == 3
+    assert content(out) == content(whole[0]) and cell_files(out) == cell_files(whole[0])
 
 
 # -- bad input ---------------------------------------------------------------------------------
@@ -525,15 +587,16 @@ def test_pgf_without_shipped_checkpoints(tmp_path, monkeypatch):
         ({"random_winner": 0.5}, r"\(random_winner 0.0, now 0.5\)"),
         (
             {"robots": (1,)},
-            "results cell (autonomous|or-hitl)_R2, which this configuration has not",
+            "of '(autonomous|or-hitl)' with 2 robots, a cell that this configuration has not",
         ),
-        ({"policies": ("autonomous",)}, "results cell or-hitl_R1, which this configuration"),
+        ({"policies": ("autonomous",)}, "of 'or-hitl' with [12] robots, a cell that this"),
     ],
 )
 def test_results_of_another_configuration(whole, resume, changes, message):
     out, _ = whole
     config = ghost(out, resume=resume, **changes)
-    refused(config, f"{out}/cells/.*/cell.json: .*{message}.*; choose another folder", out)
+    file = rf"{out}/cells/[0-9a-f]{{64}}\.parquet"
+    refused(config, f"{file}: results .*{message}.*; choose another folder", out)
 
 
 def test_another_predictor_is_another_configuration(tmp_path):
@@ -553,25 +616,41 @@ def copy_of_whole(whole, tmp_path):
     return out
 
 
-@pytest.mark.parametrize("name", ["tasks.parquet", "events.parquet", "cell.json"])
-def test_resume_refuses_corrupt_cells(copy_of_whole, name):
-    path = copy_of_whole / "cells" / "autonomous_R2" / name
+@pytest.mark.parametrize("ending", [".parquet", ".json"])
+def test_resume_refuses_corrupt_cells(whole, copy_of_whole, ending):
+    path = copy_of_whole / "cells" / named(whole[1])["autonomous_R2"].with_suffix(ending).name
     path.write_bytes(path.read_bytes()[:-20])
-    refused(ghost(copy_of_whole, resume=True), f"{path}: truncated or corrupt", copy_of_whole)
+    refused(
+        ghost(copy_of_whole, resume=True), f"{path}: truncated or (corrupt|edited)", copy_of_whole
+    )
 
 
-def test_resume_refuses_a_cell_without_its_tables(copy_of_whole):
-    path = copy_of_whole / "cells" / "autonomous_R2" / "tasks.parquet"
+def test_resume_refuses_a_cell_without_what_stands_beside_it(whole, copy_of_whole):
+    path = copy_of_whole / "cells" / named(whole[1])["autonomous_R2"].with_suffix(".json").name
     path.unlink()
     refused(ghost(copy_of_whole, resume=True), f"{path}: no such file", copy_of_whole)
 
 
 def test_results_without_their_cells(copy_of_whole):
-    for path in copy_of_whole.rglob("cell.json"):
+    for path in copy_of_whole.glob("cells/*.parquet"):
         path.unlink()
     for resume in (False, True):
         config = ghost(copy_of_whole, resume=resume)
         refused(config, "tasks.parquet: results without the cells", copy_of_whole)
+
+
+def test_results_of_an_older_version(tmp_path):
+    old = tmp_path / "cells" / "or-hitl_R1" / "cell.json"
+    old.parent.mkdir(parents=True)
+    old.write_text("{}")
+    for resume in (False, True):
+        refused(ghost(tmp_path, resume=resume), f"{old}: results of an older version", tmp_path)
+
+
+def test_a_folder_in_use(tmp_path):
+    with cells.only_writer(tmp_path):
+        refused(ghost(tmp_path), f"out: {tmp_path} is in use by another sweep", tmp_path)
+    assert len(sweep(ghost(tmp_path, policies=("autonomous",)), quiet=True).computed) == 2
 
 
 def test_other_files_in_the_folder_are_left_alone(tmp_path):
@@ -582,9 +661,11 @@ def test_other_files_in_the_folder_are_left_alone(tmp_path):
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="nothing is closed to root")
 def test_folder_that_cannot_be_written(tmp_path):
-    tmp_path.chmod(0o500)
-    refused(ghost(tmp_path), "cannot be written to", tmp_path)
-    tmp_path.chmod(0o700)
+    for closed, message in ((tmp_path, "cannot be made"), (tmp_path / "cells", "be written to")):
+        closed.chmod(0o500)
+        refused(ghost(tmp_path), message, tmp_path)
+        closed.chmod(0o700)
+        (tmp_path / "cells").mkdir(exist_ok=True)
 
 
 # -- processes, and a real engine --------------------------------------------------------------
@@ -597,8 +678,7 @@ def names(parts):
 def test_shares_by_hand(tmp_path):
     """Of one sweep: all its cells share their trees, so there are not enough families."""
     setups = [prepare(ghost(tmp_path))]
-    cells = [Cell(policy, robots, 10) for policy in "ab" for robots in (1, 10, 30)]
-    jobs = [Job(0, cell) for cell in cells]
+    jobs = [Job(0, Cell(policy, robots, 10)) for policy in "ab" for robots in (1, 10, 30)]
     assert names(shares(setups, jobs, 3)) == [
         ["0:a_R30"],
         ["0:b_R30"],
@@ -619,10 +699,21 @@ def test_cells_that_share_trees_share_a_process(tmp_path):
     small, large = Cell("a", 1, 10), Cell("a", 3, 10)
     jobs = [Job(1, large), Job(0, small), Job(3, small), Job(2, large)]
     one, two, three = ["0:a_R1", "2:a_R3"], ["1:a_R3"], ["3:a_R1"]
-    assert names(shares(setups, jobs, 3)) == [one, two, three]
-    assert names(shares(setups, jobs, 2)) == [one, two + three]
+    for workers in (1, 2, 3):
+        assert names(shares(setups, jobs, workers)) == [one, two, three]
     # A fourth process would be idle: families are torn apart.
     assert names(shares(setups, jobs, 4)) == [two, ["2:a_R3"], ["0:a_R1"], three]
+
+
+def test_a_worker_has_a_few_turns(tmp_path):
+    """Of more families, as here six, it is not one each: the large ones are each alone."""
+    setups = [prepare(ghost(tmp_path / str(seed), seed=seed)) for seed in range(6)]
+    sizes = [1, 9, 2, 8, 3, 7]
+    jobs = [Job(seed, Cell("a", robots, 10)) for seed, robots in enumerate(sizes)]
+    parts = shares(setups, jobs, 1)
+    assert TURNS == len(parts) == 4
+    assert names(parts) == [["1:a_R9"], ["3:a_R8"], ["5:a_R7"], ["4:a_R3", "2:a_R2", "0:a_R1"]]
+    assert [len(part) for part in shares(setups, jobs, 2)] == [1] * 6
 
 
 @pytest.mark.parametrize(
@@ -686,26 +777,19 @@ def test_processes_change_nothing_bit_for_bit(real, tmp_path):
     config = native(tmp_path, workers=2)
     result = sweep(config, quiet=True)
     assert content(tmp_path) == content(out)
-    assert tree(tmp_path / "cells") == tree(out / "cells")
+    assert cell_files(tmp_path) == cell_files(out)
     assert len(result.computed) == 2
-    manifest = json.loads((tmp_path / "manifest.json").read_text())
-    assert len(manifest["wall_clock"]["compile_s"]) == 2
-
-
-class _Deaf:
-    def progress(self, job, tasks, time_ns):
-        pass
-
-    def finished(self, job):
-        pass
+    run = read_json(tmp_path, "run.json")
+    assert len(run["wall_clock"]["compile_s"]) == run["batches"] == run["workers"] == 2
+    hosts = [cells.read_account(file)["host"]["pid"] for file in result.files.values()]
+    assert len({*hosts, os.getpid()}) == 3
 
 
 def test_bad_input_comes_out_of_a_process(tmp_path):
-    setup = prepare(ghost(tmp_path))  # `ghost` is registered here, not there
-    jobs = [Job(0, cell) for cell in setup.config.cells()]
+    # `ghost` is registered here, not there.
     with pytest.raises(BadInput, match="unknown engine 'ghost'"):
-        run_cells_in_processes([setup], jobs, 1, _Deaf())
-    assert list(tmp_path.iterdir()) == []
+        sweep(ghost(tmp_path, workers=2), quiet=True)
+    assert [*tmp_path.rglob("*")] == [tmp_path / "cells"]
 
 
 @pytest.mark.slow

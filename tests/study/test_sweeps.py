@@ -2,18 +2,29 @@
 
 import dataclasses
 import json
+import os
 import re
 import shutil
+from pathlib import Path
 
 import polars as pl
 import pytest
-import sweep_toys
-from sweep_toys import content, ghost, tree, ways, write_checkpoints
+from sweep_toys import (
+    cell_files,
+    content,
+    ghost,
+    processes,
+    tree,
+    untouched,
+    ways,
+    write_checkpoints,
+)
 
 from pgf_jax.errors import BadInput
 from pgf_jax.scene.sampling import PRESETS
-from pgf_jax.study import sweep as sweep_module
-from pgf_jax.study import sweep_run
+from pgf_jax.study import batch, cells
+from pgf_jax.study.folder import keys_of
+from pgf_jax.study.processes import Stopped
 from pgf_jax.study.sweep import sweep, sweeps
 from pgf_jax.study.sweep_config import Cell, SweepConfig
 from pgf_jax.study.sweep_run import Job, run_cells
@@ -66,13 +77,14 @@ def together(toys, tmp_path_factory):
 
 
 def same(result, other) -> bool:
-    cells, others = (tree(each.out / "cells") for each in (result, other))
-    assert len(cells) == 3 * len(result.summaries)
-    return content(result.out) == content(other.out) and cells == others
+    ours, others = (cell_files(each.out) for each in (result, other))
+    assert len(ours) == len(result.summaries)
+    return content(result.out) == content(other.out) and ours == others
 
 
 def about(result, name="iterations"):
-    return json.loads((result.out / "manifest.json").read_text())[name]
+    """How it was run."""
+    return json.loads((result.out / "run.json").read_text())[name]
 
 
 # -- exactness -----------------------------------------------------------------------------------
@@ -111,15 +123,19 @@ def test_what_is_computed_is_what_differs(toys, tmp_path):
     assert about(results[1], "occupancy")["used"] == count["computed"]
 
 
-def test_neither_order_nor_processes_change_anything(toys, alone, tmp_path, monkeypatch):
-    monkeypatch.setattr(sweep_run, "_cells_of_a_process", sweep_toys.cells_of_a_process)
+def test_neither_order_nor_processes_change_anything(toys, alone, tmp_path):
     configs = toys(tmp_path)[::-1]
     configs[3] = dataclasses.replace(configs[3], workers=2)  # enough that one says so
-    results = sweeps(configs, quiet=True)
+    with processes(2) as executor:
+        results = sweeps(configs, quiet=True, executor=executor)
+        assert executor.submit(abs, -1).result() == 1  # it stays open
     assert [result.out for result in results] == [config.out for config in configs]
+    hosts = set()
     for name, result in zip([*CHANGES][::-1], results, strict=True):
         assert same(result, alone[name])
-        assert about(result, "workers") == len(about(result, "wall_clock")["compile_s"]) == 2
+        assert about(result, "batches") == len(about(result, "wall_clock")["compile_s"]) == 4
+        hosts |= {cells.read_account(file)["host"]["pid"] for file in result.files.values()}
+    assert len(hosts) == 2 and os.getpid() not in hosts
 
 
 def test_any_few_cells_in_any_order(toys, alone, tmp_path):
@@ -127,28 +143,40 @@ def test_any_few_cells_in_any_order(toys, alone, tmp_path):
     setups = [prepare(config) for config in toys(tmp_path)]
     jobs = [Job(i, cell) for i, setup in enumerate(setups) for cell in setup.config.cells()]
     for some in (jobs[::-2], jobs[3:6] + jobs[:2]):
-        shutil.rmtree(tmp_path)
         heard = Heard()
-        run_cells(setups, some, heard)
+        run_cells(dict(enumerate(setups)), some, heard)
         assert sorted(heard.done, key=jobs.index) == sorted(some, key=jobs.index)
-        for sweep_, cell in some:
-            found = tree(setups[sweep_].config.out / "cells")
-            own = tree([*alone.values()][sweep_].out / "cells")
-            files = {name for name in own if name.startswith(f"{cell.name}/")}
-            assert len(files) == 3 and all(found[name] == own[name] for name in files)
-        assert len([*tmp_path.rglob("cell.json")]) == len(some)
+        for (sweep_, cell), found in heard.done.items():
+            own = [*alone.values()][sweep_]
+            assert found.data() == own.files[cell].read_bytes()
+            assert cells.key(found.about["identity"]) == own.files[cell].stem
+    assert not [*tmp_path.iterdir()]
 
 
 class Heard:
     def __init__(self):
-        self.done, self.tasks = [], {}
+        self.done, self.tasks = {}, {}
 
     def progress(self, job, tasks, time_ns):
         assert job not in self.done and tasks >= self.tasks.get(job, 0)
         self.tasks[job] = tasks
 
-    def finished(self, job):
-        self.done.append(job)
+    def finished(self, job, content):
+        assert job not in self.done
+        self.done[job] = content
+
+
+def test_whoever_stops_has_what_is_finished(toys, alone, tmp_path):
+    """It is asked after each call, and as long as there is something to stop."""
+    (config,) = toys(tmp_path, ["plain"])
+    setup = prepare(config)
+    jobs = [Job(5, cell) for cell in config.cells()]
+    heard = Heard()
+    with pytest.raises(Stopped):
+        run_cells({5: setup}, jobs, heard, stop=lambda: len(heard.done) >= 2)
+    assert 2 <= len(heard.done) < 4 == len(heard.tasks)
+    for (_, cell), found in heard.done.items():
+        assert found.data() == alone["plain"].files[cell].read_bytes()
 
 
 def test_native_physics_and_an_operator_who_imagines(tmp_path, predictors):
@@ -175,8 +203,8 @@ def test_native_physics_and_an_operator_who_imagines(tmp_path, predictors):
         for policy in policies:
             alone = sweep(small(policy, policy, **changes), quiet=True)
             counts[policy] = about(alone)
-            cell = tree(tmp_path / out / "cells" / f"{policy}_R2")
-            assert len(cell) == 3 and cell == tree(alone.out / "cells" / f"{policy}_R2")
+            ((name, data),) = cell_files(alone.out).items()
+            assert cell_files(tmp_path / out)[name] == data
     count = about(together[0])
     assert count["of_robots"] == sum(each["of_robots"] for each in counts.values())
     assert count["computed"] < sum(each["computed"] for each in counts.values())
@@ -227,31 +255,37 @@ def copied(configs, results):
         shutil.copytree(result.out, config.out)
 
 
-def inodes(folder):
-    return {path: path.stat().st_ino for path in folder.rglob("*") if path.is_file()}
+def files_of(config) -> dict[str, Path]:
+    """The cells' files by the cells' names."""
+    keys = keys_of(prepare(config))
+    return {cell.name: cells.path(config.out, key) for cell, key in keys.items()}
 
 
 def test_resume_keeps_the_finished_cells_of_each(toys, together, tmp_path, capsys):
     names = ["plain", "another predictor", "seed"]
     configs = toys(tmp_path, names, resume=True)
     copied(configs[:2], [together[name] for name in names[:2]])
-    lost = [configs[0].out / "cells/or-hitl_R2", configs[1].out / "cells/pgf_R1"]
-    shutil.rmtree(lost[0])
-    (lost[1] / "cell.json").unlink()  # interrupted before its last file
-    kept = [configs[0].out / "cells" / name for name in ("or-hitl_R1", "autonomous_R2")]
-    kept += [configs[1].out / "cells/random_R1"]
-    before = [inodes(folder) for folder in kept]
+    first, second = map(files_of, configs[:2])
+    for file in (first["or-hitl_R2"], cells.sidecar(first["or-hitl_R2"])):
+        file.unlink()
+    second["pgf_R1"].unlink()  # interrupted before its last file
+    kept = [first["or-hitl_R1"], first["autonomous_R2"], second["random_R1"]]
+    kept += [cells.sidecar(file) for file in kept]
+    before = untouched(*kept)
     results = sweeps(configs)
     assert [result.computed for result in results] == [
         ("or-hitl_R2",),
         ("pgf_R1",),
         ("or-hitl_R2",),
     ]
-    assert [inodes(folder) for folder in kept] == before
+    assert untouched(*kept) == before and len(before) == 6
     for name, result in zip(names, results, strict=True):
         assert same(result, together[name])
-    flags = [[cell["kept"] for cell in about(result, "cells")] for result in results]
-    assert flags == [[True, False, True, True], [False, True], [False]]
+    assert [about(result, "cells_kept") for result in results] == [
+        ["or-hitl_R1", "autonomous_R1", "autonomous_R2"],
+        ["random_R1"],
+        [],
+    ]
     # What it says: which sweep, then the tables in order.
     said = capsys.readouterr()
     lines = said.err.splitlines()
@@ -266,18 +300,18 @@ def test_resume_keeps_the_finished_cells_of_each(toys, together, tmp_path, capsy
 def test_an_interruption_keeps_what_is_finished(toys, together, tmp_path, monkeypatch, capsys):
     names = ["window", "plain"]
 
-    def interrupted(setups, jobs, listener):
+    def interrupted(setups, jobs, listener, **more):
         class Impatient(Heard):
-            def finished(self, job):
-                listener.finished(job)
+            def finished(self, job, content):
+                listener.finished(job, content)
                 raise KeyboardInterrupt
 
-        return run_cells(setups, jobs, Impatient())
+        return run_cells(setups, jobs, Impatient(), **more)
 
-    monkeypatch.setattr(sweep_module, "run_cells", interrupted)
+    monkeypatch.setattr(batch, "run_cells", interrupted)
     with pytest.raises(KeyboardInterrupt):
         sweeps(toys(tmp_path, names))
-    assert len([*tmp_path.rglob("cell.json")]) == 1
+    assert len([*tmp_path.rglob("*.parquet")]) == len([*tmp_path.rglob("*.json")]) == 1
     assert not [*tmp_path.rglob("manifest.json")]
     said = " ".join(capsys.readouterr().err.split())
     where = re.escape(f"{tmp_path / 'window'} .. {tmp_path / 'plain'}")
@@ -331,7 +365,8 @@ def test_all_classes_are_the_same_for_every_policy_and_size(toys, tmp_path):
     assert scenes["scene"].list.len().to_list() == [1] * 9
     named = [f"{PRESETS[(r + t) % 3]}_0_{r}_{t}" for r in range(3) for t in range(3)]
     assert scenes["scene"].explode().to_list() == named
-    assert about(result, "scenes") == {"class": "all", "objects": 20}
+    manifest = json.loads((result.out / "manifest.json").read_text())
+    assert manifest["scenes"] == {"class": "all", "objects": 20}
     setup = prepare(config)
     assert [setup.scene(r, t).name for r in range(3) for t in range(3)] == named
     assert [setup.scene_name(r, t) for r in range(3) for t in range(3)] == named
@@ -350,5 +385,5 @@ def test_a_random_winner_is_another_sweep(toys, alone, tmp_path):
     assert [each["planner"]["random_winner"] for each in identities] == [0.5, 0.25, 0.0]
     assert changes["random_winner"] == setups[0].programs()[2].random_winner
     # It is in the planner that computes: other trajectories win.
-    name = "cells/or-hitl_R1/events.parquet"
-    assert (alone["winner"].out / name).read_bytes() != (alone["plain"].out / name).read_bytes()
+    winner, plain = (alone[name].cell(cell) for name in ("winner", "plain"))
+    assert not winner.events.equals(plain.events)

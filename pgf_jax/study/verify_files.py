@@ -1,0 +1,270 @@
+"""The files of a sweep's results, each against what others say of it."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pgf_jax.errors import BadInput
+from pgf_jax.files import MIB, read_file
+from pgf_jax.fleet.metrics import summarise
+from pgf_jax.study import cells, results
+from pgf_jax.study.folder import MANIFEST, RESULTS, RUN, config_of, differences
+from pgf_jax.study.sweep_config import Cell
+
+_LARGEST_FILE = 2048 * MIB
+# A manifest has these of its cells, too.
+_COMMON = ("format", "seed", "engine", "lanes", "planner", "versions", "device")
+
+
+class Finding(NamedTuple):
+    """Something that is not as it was written.
+
+    Attributes:
+      path: of the file.
+      what: truncated, edited, duplicate, foreign, missing; and why.
+    """
+
+    path: Path
+    what: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Checked:
+    """What is in a folder.
+
+    Attributes:
+      findings: what is wrong.
+      sound: the cells that are as they were written: file -> content.
+      complete: whether the sweep was finished: there is a manifest.
+    """
+
+    findings: tuple[Finding, ...]
+    sound: Mapping[Path, cells.Content]
+    complete: bool
+
+
+def check_files(out: Path) -> Checked:
+    """Look at every file of a folder of results.
+
+    Raises:
+      BadInput: it is none.
+    """
+    if not (out / cells.FOLDER).is_dir():
+        raise BadInput(f"{out}: holds no results of a sweep (no folder {cells.FOLDER})")
+    findings: list[Finding] = []
+    sound = _cells(out, findings)
+    manifest = _manifest(out, findings)
+    if manifest is None:
+        sound = _of_one_sweep(sound, findings)
+        for name in RESULTS:
+            if (out / name).exists():
+                findings.append(Finding(out / name, f"foreign: without a {MANIFEST}"))
+    else:
+        sound = _against_manifest(out, manifest, sound, findings)
+        _merged(out, manifest, sound, findings)
+    known = {*RESULTS, MANIFEST, RUN, cells.FOLDER}
+    for path in sorted(out.iterdir()):
+        if path.name not in known:
+            findings.append(Finding(path, "foreign: no sweep writes it"))
+    return Checked(tuple(findings), sound, manifest is not None)
+
+
+def _cells(out: Path, findings: list[Finding]) -> dict[Path, cells.Content]:
+    """The sound cells, by file; the others are found."""
+    folder = out / cells.FOLDER
+    sound: dict[Path, cells.Content] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix == ".parquet" and path.is_file() and not path.name.startswith("."):
+            try:
+                data = cells.check(path)
+                content = cells.decode(data, path)
+            except BadInput as error:
+                findings.append(Finding(path, _reason(path, error)))
+                continue
+            name = cells.key(content.about["identity"])
+            if name == path.stem:
+                sound[path] = content
+            elif cells.path(out, name).exists():
+                findings.append(Finding(path, f"duplicate: it is the cell of {name}.parquet"))
+            else:
+                findings.append(Finding(path, f"edited or renamed: it says it is {name}"))
+        elif path.suffix == ".json" and cells.is_key(path.stem):
+            if not path.with_suffix(".parquet").exists():
+                findings.append(Finding(path, "foreign: without the cell that it is about"))
+        else:
+            findings.append(Finding(path, "foreign: no finished sweep leaves it"))
+    return sound
+
+
+def _reason(path: Path, error: BadInput) -> str:
+    """What is wrong with a cell that cannot be read."""
+    words = str(error).removeprefix(f"{path}: ")
+    if not cells.sidecar(path).exists():
+        words = f"foreign: nothing stands beside it of how it came about ({words})"
+    elif words.startswith("truncated or edited"):
+        length = cells.read_account(path).get("bytes")
+        found = path.stat().st_size
+        if isinstance(length, int) and found < length:
+            return f"truncated: {found} of {length} bytes"
+        return "edited: its digest is not the one that stands beside it"
+    return words
+
+
+def _manifest(out: Path, findings: list[Finding]) -> dict[str, Any] | None:
+    if not (out / MANIFEST).exists():
+        return None
+    try:
+        manifest = results.read_json(out / MANIFEST)
+        listed = [(cell["file"], cell["sha256"], cell["policy"]) for cell in manifest["cells"]]
+        named = [manifest["files"][name] for name in RESULTS]
+        if not all(isinstance(text, str) for row in (*listed, named) for text in row):
+            raise TypeError
+        # A name that is none of a cell's may lead anywhere.
+        names = [(file, Path(file).stem) for file, *_ in listed]
+        good = (cells.is_key(key) and out / f == cells.path(out, key) for f, key in names)
+        if not names or not all(good):
+            raise KeyError
+        return manifest
+    except BadInput as error:
+        findings.append(Finding(out / MANIFEST, str(error).removeprefix(f"{out / MANIFEST}: ")))
+    except (KeyError, TypeError):
+        findings.append(Finding(out / MANIFEST, "edited: it does not list cells and files"))
+    return None
+
+
+def _of_one_sweep(
+    sound: Mapping[Path, cells.Content], findings: list[Finding]
+) -> dict[Path, cells.Content]:
+    """Of an unfinished sweep's cells: those with the settings that most have."""
+
+    def common(content: cells.Content) -> str:
+        settings = content.about.get("config")
+        own = ("robots", "policies", "tasks")
+        shared = settings if isinstance(settings, dict) else {}
+        return str({name: value for name, value in shared.items() if name not in own})
+
+    counts = Counter(map(common, sound.values()))
+    usual = counts.most_common(1)[0][0] if counts else ""
+    ours = {}
+    for path, content in sound.items():
+        if common(content) == usual:
+            ours[path] = content
+        else:
+            findings.append(Finding(path, "foreign: of another configuration than the others"))
+    return ours
+
+
+def _against_manifest(
+    out: Path,
+    manifest: Mapping[str, Any],
+    sound: Mapping[Path, cells.Content],
+    findings: list[Finding],
+) -> dict[Path, cells.Content]:
+    listed = {out / cell["file"]: cell for cell in manifest["cells"]}
+    for path, cell in listed.items():
+        if not path.exists():
+            findings.append(Finding(path, f"missing: {MANIFEST} lists it"))
+        elif path in sound and results.sha256(path.read_bytes()) != cell["sha256"]:
+            findings.append(Finding(path, f"edited: its digest is not the one in {MANIFEST}"))
+    ours = {}
+    for path, content in sound.items():
+        if path not in listed:
+            findings.append(Finding(path, f"foreign: {MANIFEST} does not list it"))
+            continue
+        identity = content.about["identity"]
+        said = _said(manifest, listed[path])
+        words = differences({name: _of_identity(identity, name) for name in said}, said)
+        if words:
+            findings.append(Finding(out / MANIFEST, f"edited: of {path.name} {words}"))
+        ours[path] = content
+    return ours
+
+
+def _said(manifest: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any]:
+    """What a manifest says of a cell."""
+    said = {name: manifest.get(name) for name in _COMMON}
+    versions = said["versions"]
+    if isinstance(versions, dict):  # an identity has those that decide
+        said["versions"] = {
+            n: v for n, v in versions.items() if n not in ("python", "flax", "numpy")
+        }
+    return said | {name: cell.get(name) for name in ("policy", "robots", "tasks")}
+
+
+def _of_identity(identity: Mapping[str, Any], name: str) -> Any:
+    if name in ("policy", "robots", "tasks", "seed"):
+        fleet = identity.get("fleet")
+        return fleet.get(name) if isinstance(fleet, dict) else None
+    return identity.get(name)
+
+
+def _merged(
+    out: Path,
+    manifest: Mapping[str, Any],
+    sound: Mapping[Path, cells.Content],
+    findings: list[Finding],
+) -> None:
+    """The merged files, against the manifest and against the cells they were merged from."""
+    whole = all(out / cell["file"] in sound for cell in manifest["cells"])
+    expected = _remade(out, manifest, sound) if whole else {}
+    for name in RESULTS:
+        path = out / name
+        try:
+            data = read_file(path, "results of a sweep", _LARGEST_FILE)
+        except BadInput as error:
+            words = str(error).removeprefix(f"{path}: ")
+            findings.append(Finding(path, f"missing: {words}" if not path.exists() else words))
+            continue
+        if results.sha256(data) != manifest["files"][name]:
+            findings.append(Finding(path, f"edited: its digest is not the one in {MANIFEST}"))
+        elif name in expected and not _is(expected[name], path, data):
+            findings.append(Finding(path, "edited: it does not follow from the cells"))
+
+
+@np.errstate(all="ignore")  # of times that no sweep has, but an edited cell may
+def _remade(
+    out: Path, manifest: Mapping[str, Any], sound: Mapping[Path, cells.Content]
+) -> dict[str, Any]:
+    """The merged tables, from the cells; nothing where these make none."""
+    try:
+        tables = {}
+        for listed in manifest["cells"]:
+            cell = Cell(listed["policy"], listed["robots"], listed["tasks"])
+            tables[cell] = sound[out / listed["file"]]
+        records = {cell: results.task_records(content.tasks) for cell, content in tables.items()}
+        summaries = []
+        for cell, content in tables.items():
+            config = config_of(content, {"log": "recorded"} if _replayed(content) else {}, out)
+            log = results.event_log(content.events)
+            summaries.append(summarise(config.fleet(cell), records[cell], log))
+    except (BadInput, KeyError, TypeError, ZeroDivisionError):
+        return {}
+    merged = {
+        name: results.merge([(cell, getattr(content, name)) for cell, content in tables.items()])
+        for name in cells.TABLES
+    }
+    return {
+        "tasks.parquet": merged["tasks"],
+        "events.parquet": merged["events"],
+        "summary.csv": results.csv(results.summary_frame(summaries)),
+        "paired.csv": results.csv(results.paired_frame(results.paired(records))),
+    }
+
+
+def _replayed(content: cells.Content) -> bool:
+    settings = content.about.get("config")
+    return isinstance(settings, dict) and settings.get("operator") == "replay"
+
+
+def _is(expected: Any, path: Path, data: bytes) -> bool:
+    if isinstance(expected, bytes):
+        return expected == data
+    schema = results.MERGED_TASK_SCHEMA if path.stem == "tasks" else results.MERGED_EVENT_SCHEMA
+    try:
+        return results.read_results(path, schema).equals(expected)
+    except BadInput:
+        return False
