@@ -161,12 +161,16 @@ def open_session(folders: Sequence[Path], name: str) -> Iterator[Callable[[], No
 
 
 def read_progress(batch: Batch) -> Progress:
-    """What a batch's worker has said; nothing where it cannot be heard."""
+    """What a batch's worker has said; nothing where it cannot be heard, or makes no sense."""
+    places = range(len(batch.jobs))
     try:
         running, finished = json.loads(_said(batch).read_bytes())
-        return Progress(tuple(map(tuple, running)), tuple(finished))
-    except (OSError, ValueError):
-        return Progress((), ())
+        said = Progress(tuple((p, int(n), int(ns)) for p, n, ns in running), tuple(finished))
+        if all(place in places for place in (*(p for p, *_ in said.running), *said.finished)):
+            return said
+    except (OSError, TypeError, ValueError):
+        pass
+    return Progress((), ())
 
 
 def _token(folder: Path, session: str) -> Path:
