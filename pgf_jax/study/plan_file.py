@@ -18,6 +18,7 @@ from pgf_jax.guidance.tables import write_atomically
 from pgf_jax.planning.types import Status
 from pgf_jax.scene.scene import Scene
 from pgf_jax.study.crew import Segment
+from pgf_jax.study.provenance import environment
 
 TERMS = ("c_d", "c_f", "c_b", "c_e", "c_s")
 SUFFIX = ".plan.json"
@@ -125,11 +126,14 @@ def plan_path(folder: Path | str, scene: str) -> Path:
 def save_plan(folder: Path | str, plan: Plan) -> Path:
     """Write `folder/NAME.plan.json`, whole or not at all; returns its path.
 
+    Beside the plan it says what made it: versions, commit, processor.
+
     Raises:
       BadInput: it cannot be written there.
     """
     path = plan_path(folder, plan.scene.name)
-    write_atomically(path, (json.dumps(plan.to_json(), allow_nan=False) + "\n").encode())
+    content = plan.to_json() | {"made_by": environment()}
+    write_atomically(path, (json.dumps(content, allow_nan=False) + "\n").encode())
     return path
 
 

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import functools
+import resource
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -135,7 +136,8 @@ def sweeps(
     keys = [keys_of(setup) for setup in setups]
     kept = [check_folder(setup, names) for setup, names in zip(setups, keys, strict=True)]
     jobs = [Job(i, cell) for i, config in enumerate(configs) for cell in config.cells()]
-    finished = [job for job in jobs if job.cell in kept[job.sweep]]
+    finished = {job for job in jobs if job.cell in kept[job.sweep]}
+    _allow_files(len(configs))
     with contextlib.ExitStack() as stack:
         for config in configs:
             stack.enter_context(cells.only_writer(config.out))
@@ -144,7 +146,7 @@ def sweeps(
         report = Report(jobs, finished, Console(stderr=True), quiet=quiet, json=as_json)
         with report:
             try:
-                todo = [job for job in jobs if job not in set(finished)]
+                todo = [job for job in jobs if job not in finished]
                 names = {job: keys[job.sweep][job.cell] for job in jobs}
                 opener = _executor(configs, todo, executor)
                 begin = time.perf_counter()
@@ -176,13 +178,24 @@ def sweeps(
 
 
 def _check_together(configs: Sequence[SweepConfig]) -> None:
-    folders = [config.out.resolve() for config in configs]
-    for i, folder in enumerate(folders):
-        if folder in folders[:i]:
-            raise BadInput(f"out: {configs[i].out} is the folder of two sweeps")
+    folders: set[Path] = set()
+    for config in configs:
+        folder = config.out.resolve()
+        if folder in folders:
+            raise BadInput(f"out: {config.out} is the folder of two sweeps")
+        folders.add(folder)
     schedulers = {config.scheduler for config in configs}
     if len(schedulers) > 1:
         raise BadInput(f"scheduler: expected one for all, got {sorted(map(str, schedulers))}")
+
+
+def _allow_files(folders: int) -> None:
+    """Each folder is kept open, and systems let a process open no more than 1024 unless it asks."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = folders + 512
+    if soft != resource.RLIM_INFINITY and soft < needed:
+        most = needed if hard == resource.RLIM_INFINITY else min(needed, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, most), hard))
 
 
 class _Borrowed(Executor):

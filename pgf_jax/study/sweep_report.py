@@ -24,6 +24,7 @@ from pgf_jax.fleet.metrics import NS_PER_HOUR, CellSummary, Interval
 from pgf_jax.study.sweep_run import Job
 
 LINE_EVERY_S = 30.0  # where there is no terminal to draw on
+DRAW_EVERY_S = 0.1  # with thousands of cells, to add them up after every call would take long
 BARS = 16  # more cells than these share one bar
 
 
@@ -85,20 +86,21 @@ class Report:
 
     def __exit__(self, *_: object) -> None:
         if self._live:
+            self._draw()
             self._progress.stop()
 
     def progress(self, job: Job, tasks: int, time_ns: int) -> None:
         """See `Listener.progress`."""
         self._done[job], self._time_ns[job] = tasks, time_ns
         self._first = self._first or time.monotonic()
-        self._show(job)
+        self._show()
 
     def finished(self, job: Job, account: Mapping[str, Any]) -> None:
         """See `Listener.finished`."""
         # Tasks that the horizon left unbegun are not waited for.
         self._done[job] = self._tasks[job]
         self._finished.add(job)
-        self._show(job)
+        self._show()
         if self._json:
             self._print_json(job, account)
         if not self._live and len(self._tasks) <= BARS:
@@ -120,17 +122,22 @@ class Report:
     def _name(self, job: Job) -> str:
         return f"{job.sweep}:{job.cell.name}" if self._several else job.cell.name
 
-    def _show(self, job: Job) -> None:
-        if self._live:
-            hours = {j: ns / NS_PER_HOUR for j, ns in self._time_ns.items()}
-            if job in self._bars:
-                self._progress.update(self._bars[job], completed=self._done[job], hours=hours[job])
-            done, rate, _ = self._pace()
-            self._progress.update(
-                self._all, completed=done, hours=sum(hours.values()), rate=f"{rate:.1f}/s"
-            )
-        elif time.monotonic() - self._last > LINE_EVERY_S:
+    def _show(self) -> None:
+        now = time.monotonic()
+        if self._live and now - self._last > DRAW_EVERY_S:
+            self._last = now
+            self._draw()
+        elif not self._live and now - self._last > LINE_EVERY_S:
             self._line()
+
+    def _draw(self) -> None:
+        hours = {job: ns / NS_PER_HOUR for job, ns in self._time_ns.items()}
+        for job, bar in self._bars.items():
+            self._progress.update(bar, completed=self._done[job], hours=hours[job])
+        done, rate, _ = self._pace()
+        self._progress.update(
+            self._all, completed=done, hours=sum(hours.values()), rate=f"{rate:.1f}/s"
+        )
 
     def _pace(self) -> tuple[int, float, float]:
         """Tasks done, tasks/s, and the s that are left by it; compilation does not count."""
