@@ -13,7 +13,7 @@ from pgf_jax.files import MIB, read_file
 from pgf_jax.fleet.metrics import summarise
 from pgf_jax.study import cells, results
 from pgf_jax.study.folder import MANIFEST, RESULTS, RUN, config_of, differences
-from pgf_jax.study.sweep_config import Cell
+from pgf_jax.study.sweep_config import INPUTS, Cell
 
 _LARGEST_FILE = 2048 * MIB
 # A manifest has these of its cells, too.
@@ -175,9 +175,8 @@ def _against_manifest(
         if path not in listed:
             findings.append(Finding(path, f"foreign: {MANIFEST} does not list it"))
             continue
-        identity = content.about["identity"]
         said = _said(manifest, listed[path])
-        words = differences({name: _of_identity(identity, name) for name in said}, said)
+        words = differences({name: _of_cell(content.about, name) for name in said}, said)
         if words:
             findings.append(Finding(out / MANIFEST, f"edited: of {path.name} {words}"))
         ours[path] = content
@@ -192,14 +191,23 @@ def _said(manifest: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any
         said["versions"] = {
             n: v for n, v in versions.items() if n not in ("python", "flax", "numpy")
         }
+    config = manifest.get("config")
+    if isinstance(config, dict):
+        # Those two are None where the sweep was to choose; and a cell has not all fleets.
+        chosen = {n for n in ("scene_class", "lanes") if config.get(n) is None}
+        left_out = {*INPUTS, "robots", "policies", "tasks"} | chosen
+        said |= {f"config.{n}": value for n, value in config.items() if n not in left_out}
     return said | {name: cell.get(name) for name in ("policy", "robots", "tasks")}
 
 
-def _of_identity(identity: Mapping[str, Any], name: str) -> Any:
-    if name in ("policy", "robots", "tasks", "seed"):
-        fleet = identity.get("fleet")
-        return fleet.get(name) if isinstance(fleet, dict) else None
-    return identity.get(name)
+def _of_cell(about: Mapping[str, Any], name: str) -> Any:
+    """What a cell says itself."""
+    place, within = about["identity"], name
+    if name.startswith("config."):
+        place, within = about.get("config"), name.removeprefix("config.")
+    elif name in ("policy", "robots", "tasks", "seed"):
+        place = place.get("fleet")
+    return place.get(within) if isinstance(place, dict) else None
 
 
 def _merged(

@@ -229,6 +229,11 @@ def test_an_edited_manifest(out, one):
     findings = found(out)
     assert len(findings) == 4  # one a cell
     assert findings[0][0] == "manifest.json" and "seed 0, now 5" in findings[0][1]
+    config = manifest["config"] | {"window": 3.0, "horizon": 9.0}
+    path.write_text(json.dumps(manifest | {"config": config}))
+    findings = found(out)
+    assert len(findings) == 4
+    assert "config.window 2.0, now 3.0" in findings[0][1] and "None, now 9.0" in findings[0][1]
     path.write_text(json.dumps({"cells": []}))
     (first, *_) = found(out)
     assert first == ("manifest.json", "edited: it does not list cells and files")
