@@ -145,8 +145,6 @@ def open_session(folders: Sequence[Path], name: str) -> Iterator[Callable[[], No
 
     try:
         for token in tokens:
-            for leftover in token.parent.glob(".session-*"):
-                leftover.unlink(missing_ok=True)
             try:
                 token.touch()
             except OSError as error:
@@ -174,7 +172,7 @@ def read_progress(batch: Batch) -> Progress:
 
 
 def _token(folder: Path, session: str) -> Path:
-    return folder / cells.FOLDER / f".session-{session}"
+    return folder / cells.FOLDER / f"{cells.SESSION}{session}"
 
 
 def _said(batch: Batch) -> Path:

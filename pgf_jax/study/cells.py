@@ -33,6 +33,7 @@ from pgf_jax.study import results
 from pgf_jax.study.results import EVENT_SCHEMA, TASK_SCHEMA, json_bytes, sha256
 
 FOLDER = "cells"
+SESSION = ".session-"  # begins the names of files that are there while a sweep computes
 TABLES = {"tasks": TASK_SCHEMA, "events": EVENT_SCHEMA}
 _KEY = re.compile(r"[0-9a-f]{64}")
 
@@ -185,7 +186,8 @@ def only_writer(out: Path) -> Iterator[None]:
             raise BadInput(f"out: {out} is in use by another sweep") from None
         except OSError:  # a file system without locks: the user's care has to do
             pass
-        for leftover in (*folder.glob(f".*{TEMPORARY}"), *out.glob(f".*{TEMPORARY}")):
+        half_written = *folder.glob(f".*{TEMPORARY}"), *out.glob(f".*{TEMPORARY}")
+        for leftover in (*half_written, *folder.glob(f"{SESSION}*")):
             with contextlib.suppress(OSError):
                 leftover.unlink()
         yield

@@ -423,6 +423,7 @@ def test_who_was_killed_holds_nothing_and_leaves_nothing(tmp_path):
     other = holder(out)
     assert first_line(other) == "in"
     half = [folder / f".{'0' * 64}.parquet.7.tmp", out / ".tasks.parquet.7.tmp"]
+    half += [folder / ".session-0a", folder / ".session-0a.12"]
     own = [folder / f"{'0' * 64}.json", out / "notes.tmp", out / ".notes", folder / "x.tmp"]
     for path in (*half, *own):
         path.write_text("x")

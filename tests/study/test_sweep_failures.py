@@ -101,6 +101,19 @@ def test_a_sweep_that_is_killed_goes_on(toy, tmp_path):
     assert {name: (out / "cells" / name).stat().st_ino for name in kept} == kept
 
 
+def test_one_that_is_killed_after_its_cells_goes_on(toy, tmp_path):
+    """While it makes the tables: there is nothing left to compute, but something to tidy up."""
+    out = tmp_path / "out"
+    process = ghosts(out)
+    wait_for(lambda: len(cells(out)) == 12)
+    kill_group(process)
+    (out / "cells" / ".session-of-it").touch()
+    (out / ".tasks.parquet.1.tmp").touch()
+    code, err = ended(ghosts(out, "--resume"))
+    assert code == 0, err
+    assert content(out) == toy
+
+
 def test_two_sweeps_do_not_share_a_folder(tmp_path):
     out = tmp_path / "out"
     first = ghosts(out, "--slow")
