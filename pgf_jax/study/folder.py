@@ -66,6 +66,21 @@ def check_writable(out: Path) -> None:
             raise BadInput(f"out: {out} cannot be written to")
 
 
+def reopen(out: Path) -> None:
+    """Take away what was made from the cells: there will be others, and it is made again.
+
+    So there is a manifest where a sweep is finished, and only there.
+
+    Raises:
+      BadInput: it cannot be taken away.
+    """
+    for name in (MANIFEST, RUN, *RESULTS):
+        try:
+            (out / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise BadInput(f"{out / name}: cannot be replaced ({error.strerror})") from error
+
+
 def _other(setup: Setup, file: Path) -> BadInput:
     """What to say about a cell that is none of this sweep's."""
     out = setup.config.out

@@ -27,6 +27,7 @@ from pgf_jax.study.folder import (
     check_folder,
     check_writable,
     keys_of,
+    reopen,
 )
 from pgf_jax.study.manifest import about, manifest, run_record
 from pgf_jax.study.recording import LIVE, compare, replaying
@@ -149,6 +150,8 @@ def sweeps(
                 todo = [job for job in jobs if job not in finished]
                 names = {job: keys[job.sweep][job.cell] for job in jobs}
                 opener = _executor(configs, todo, executor)
+                for i in {job.sweep for job in todo}:
+                    reopen(configs[i].out)
                 begin = time.perf_counter()
                 efforts = dispatch(setups, todo, names, report, opener) if todo else []
                 cells_s = time.perf_counter() - begin

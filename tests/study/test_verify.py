@@ -9,7 +9,7 @@ import pytest
 from sweep_toys import ghost, tree, write_checkpoints, write_scene
 
 from pgf_jax.cli import main
-from pgf_jax.study import cells, provenance, results
+from pgf_jax.study import batch, cells, provenance, results
 from pgf_jax.study.sweep import sweep
 from pgf_jax.study.sweep_config import Cell
 from pgf_jax.study.verify import distance, verify
@@ -100,6 +100,30 @@ def test_an_unfinished_sweep(out, one):
     outcome = verify(VerifyConfig(out, cells=3), quiet=True)
     assert outcome.ok and not outcome.complete
     assert outcome.cells == 3 and all(cell.same for cell in outcome.recomputed)
+
+
+def test_a_finished_sweep_that_is_added_to_is_unfinished_until_it_is_done(
+    out, whole, predictors, monkeypatch
+):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    config = ghost(
+        out,
+        operator="nudge",
+        policies=("or-hitl", "pgf", "queue"),
+        predictor=str(predictors),
+        resume=True,
+    )
+    with monkeypatch.context() as patch:
+        patch.setattr(batch, "run_cells", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            sweep(config, quiet=True)
+    assert [path.name for path in out.iterdir()] == ["cells"]
+    outcome = verify(VerifyConfig(out, cells=0), quiet=True)
+    assert outcome.ok and not outcome.complete and outcome.cells == 4
+    assert len(sweep(config, quiet=True).computed) == 2
+    assert found(out) == []
 
 
 RESULTS = ("tasks.parquet", "events.parquet", "summary.csv", "paired.csv", "fig6.png")
