@@ -1,7 +1,7 @@
 """A sweep of the toy engine as a script, with worker processes: to be killed by tests.
 
-Arguments: the folder; then --resume; --slow: each call of the engine takes a while; --deadly: the
-process that computes a certain cell ends in the midst of it.
+Arguments: the folder; then --slow: each call of the engine takes a while; --deadly: the process
+that computes a certain cell ends in the midst of it; and more of `pgf-jax sweep`.
 """
 
 import os
@@ -38,7 +38,8 @@ if "--deadly" in sys.argv:
 
 
 if __name__ == "__main__":
-    sizes = "--policies or-hitl autonomous always queue --robots 1 2 3 --tasks 2 --workers 2"
+    fleets = "--policies or-hitl autonomous always queue --robots 1 2 3 --tasks 2"
     toys = "--engine ghost --operator nudge --lanes 4"
-    more = ["--resume"] if "--resume" in sys.argv else []
-    sys.exit(main(["sweep", *sizes.split(), *toys.split(), "--out", sys.argv[1], *more]))
+    own = [word for word in sys.argv[2:] if word not in ("--slow", "--deadly")]
+    workers = [] if "--scheduler" in own else ["--workers", "2"]
+    sys.exit(main(["sweep", *fleets.split(), *toys.split(), *workers, "--out", sys.argv[1], *own]))

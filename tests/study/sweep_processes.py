@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+HERE = Path(__file__).parent
 RESULTS = ("tasks.parquet", "events.parquet", "summary.csv", "paired.csv", "fig6.png")
 POLICIES = [
     "autonomous",
@@ -93,6 +94,10 @@ def kill_group(process: subprocess.Popen) -> None:
     process.communicate(timeout=60)
 
 
+def _path() -> list[str]:
+    return [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+
+
 # -- Dask ----------------------------------------------------------------------------------------
 
 
@@ -113,6 +118,7 @@ class Cluster:
     def add_worker(self, *before: str) -> None:
         """A worker of one thread, in whatever surroundings `before` makes."""
         words = ("--nthreads", "1", "--no-dashboard", "--local-directory", str(self.folder))
+        words += ("--preload", "sweep_toys")
         self.workers.append(self._run("worker", self.address, *words, before=before))
 
     def _run(self, *words: str, before: tuple[str, ...] = ()) -> subprocess.Popen:
@@ -123,6 +129,7 @@ class Cluster:
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *_path()])},
             )
 
     def close(self) -> None:

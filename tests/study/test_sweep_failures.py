@@ -123,6 +123,30 @@ def test_two_sweeps_do_not_share_a_folder(tmp_path):
     kill_group(first)
 
 
+def test_workers_of_dask_find_the_same(toy, tmp_path):
+    """One is killed in the midst of it; then the scheduler is."""
+    with cluster(tmp_path / "dask") as running:
+        wait_for(lambda: len(worker_processes(running)) == 2)
+        process = ghosts(tmp_path / "out", "--scheduler", running.address)
+        wait_for(lambda: cells(tmp_path / "out"))
+        os.kill(worker_processes(running)[0], signal.SIGKILL)
+        code, err = ended(process)
+        assert code == 0, err
+        assert content(tmp_path / "out") == toy
+
+        process = ghosts(tmp_path / "gone", "--scheduler", running.address)
+        wait_for(lambda: cells(tmp_path / "gone"))
+        running.scheduler.kill()
+        code, err = ended(process)
+        assert code in (0, 1), err
+        if code:
+            assert len(err.splitlines()[-1:]) == 1 and "Traceback" not in err
+            assert f"the scheduler {running.address} has gone" in err
+    code, err = ended(ghosts(tmp_path / "gone", "--resume"))
+    assert code == 0, err
+    assert content(tmp_path / "gone") == toy
+
+
 @pytest.fixture
 def small_disk(tmp_path):
     """Makes a folder on a file system of so many KiB."""
