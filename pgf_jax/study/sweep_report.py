@@ -214,8 +214,8 @@ def numbers(summaries: Sequence[CellSummary], tasks: pl.DataFrame, seed: int) ->
             "in tasks.parquet, non_finite_at)"
         )
     return (
-        f"physics: {lost} iterations with a rollout that is not finite{where}; contact slots all "
-        f"in use in {full} rollouts"
+        f"physics: {lost} iterations with a rollout that is not finite{where}; every contact slot "
+        f"in use in {full} rollouts, of {tasks.filter(pl.col('saturated') > 0).height} tasks"
     )
 
 
