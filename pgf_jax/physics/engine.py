@@ -13,8 +13,8 @@ from pgf_jax.physics.config import Physics
 Array = Any  # numpy or JAX array: engines take and return either
 
 # C, contact slots of every engine's rollouts: no scene among the published ones had more than 20
-# simultaneous contacts. `mjx` drops contacts beyond them; `native` and `planar` solve all, and leave
-# some (`planar`: the weakest) out of what they report, and so out of the cost.
+# simultaneous contacts. `mjx` drops contacts beyond them; `native` and `planar` solve all of them,
+# and leave some (`planar`: the weakest) out of what they report, and so out of the cost.
 MAX_CONTACTS = 24
 
 
