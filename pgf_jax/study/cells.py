@@ -19,7 +19,7 @@ from typing import Any
 
 import polars as pl
 
-from pgf_jax.errors import BadInput, shown
+from pgf_jax.errors import BadInput
 from pgf_jax.files import read_file
 from pgf_jax.guidance.tables import (
     LARGEST,
@@ -107,14 +107,28 @@ def read_account(file: Path) -> dict[str, Any]:
     return results.read_json(sidecar(file))
 
 
+def inputs(file: Path) -> dict[str, Any]:
+    """Where a cell's inputs lay when it was computed, as far as it is known; see `INPUTS`.
+
+    Raises:
+      BadInput: what stands beside the file is corrupt.
+    """
+    found = read_account(file).get("inputs") if sidecar(file).exists() else None
+    return found if isinstance(found, dict) else {}
+
+
 def check(file: Path) -> bytes:
     """The bytes of a cell's file, which are those that were written.
+
+    A file alone will do: what stands beside it may have been lost. Then it is decoded here.
 
     Raises:
       BadInput: one line that names the file: missing, or not as it was written.
     """
     data = read_file(file, "results of a sweep", LARGEST)
-    if read_account(file).get("sha256") != sha256(data):
+    if not sidecar(file).exists():
+        decode(data, file)
+    elif read_account(file).get("sha256") != sha256(data):
         raise BadInput(
             f"{file}: truncated or edited, its digest is not the one in {sidecar(file).name}; "
             "delete the two to compute the cell again"
@@ -193,11 +207,3 @@ def only_writer(out: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def describe(identity: Any) -> str:
-    """The cell that an identity is of, for a message."""
-    fleet = identity.get("fleet") if isinstance(identity, dict) else None
-    if not isinstance(fleet, dict):
-        return "an unknown cell"
-    return f"{shown(fleet.get('policy'), 40)} with {shown(fleet.get('robots'), 20)} robots"

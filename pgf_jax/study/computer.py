@@ -52,7 +52,6 @@ class Computer:
         self.seconds = 0.0  # of the wall clock spent in `compute`
         self.answering_s = 0.0  # that, and what was thought between requests (`crew.drive`)
         self.warm: list[bool] = []  # shared by copies: whether its programs are compiled
-        self.saturated = 0  # rollouts in which contacts may have been dropped (no slot left)
         self._keys = jax.jit(jax.vmap(_key))
 
     def occupancy(self) -> tuple[int, int]:
@@ -96,8 +95,7 @@ class Computer:
                 results[i] = world
         for part in _parts(steps, self.engine.lanes):
             after = self._iterate([step for _, step in part])
-            for (i, step), search in zip(part, after, strict=True):
-                self.saturated += int(search.saturated - step.search.saturated)
+            for (i, _), search in zip(part, after, strict=True):
                 results[i] = search
         return results
 
@@ -254,7 +252,7 @@ def warm_up(computer: Computer, search: Search, seed: int) -> float:
     seconds = computer.seconds
     computer.warm.append(True)
     computer.occupancy()
-    computer.steps = computer.saturated = 0
+    computer.steps = 0
     computer.seconds = 0.0
     return seconds
 

@@ -93,8 +93,11 @@ def _other(setup: Setup, file: Path) -> BadInput:
         ):
             words = differences(theirs, identity(setup, cell)) or "by its name"
             return _foreign(file, f"of another configuration ({words})", out)
-    what = f"{cells.describe(theirs)}, a cell that this configuration has not"
-    return _foreign(file, f"of {what}", out)
+    what = "an unknown cell"
+    if isinstance(fleet, dict):
+        policy, robots = (shown(fleet.get(name), 40) for name in ("policy", "robots"))
+        what = f"{policy} with {robots} robots, a cell"
+    return _foreign(file, f"of {what} that this configuration has not", out)
 
 
 def _foreign(file: Path, what: str, out: Path) -> BadInput:

@@ -70,8 +70,7 @@ def _where(config: ReproduceConfig, content: cells.Content) -> tuple[int, int, i
 def _again(
     config: ReproduceConfig, file: Path, content: cells.Content, where: tuple[int, int, int]
 ) -> Reproduction:
-    inputs = cells.read_account(file).get("inputs")
-    sweep = config_of(content, inputs if isinstance(inputs, dict) else {}, config.folder)
+    sweep = config_of(content, cells.inputs(file), config.folder)
     setup = prepare(sweep)
     (cell,) = sweep.cells()
     old, new = content.about["identity"], identity(setup, cell)

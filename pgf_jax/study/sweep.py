@@ -241,7 +241,7 @@ def _conclude(setup: Setup, keys: Mapping[Cell, str], kept: set[Cell]) -> SweepR
     merged = merged_files(setup, tables, summaries, paired)
     for name, data in merged.items():
         write_atomically(config.out / name, data)
-    digests = {cell: cells.read_account(file)["sha256"] for cell, file in files.items()}
+    digests = {cell: results.sha256(file.read_bytes()) for cell, file in files.items()}
     said = manifest(setup, keys, tables, digests, merged)
     write_atomically(config.out / MANIFEST, results.json_bytes(said))
     computed = tuple(cell.name for cell in config.cells() if cell not in kept)

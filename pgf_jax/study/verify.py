@@ -118,8 +118,7 @@ def _again(
     with tempfile.TemporaryDirectory() as name:
         configs, files = [], []
         for path in drawn:
-            inputs = cells.read_account(path).get("inputs")
-            inputs = (inputs if isinstance(inputs, dict) else {}) | now
+            inputs = cells.inputs(path) | now
             try:
                 again = config_of(checked.sound[path], inputs, Path(name) / path.stem)
                 prepare(again)  # what it reads is there

@@ -15,6 +15,7 @@ from pgf_jax.study import cells, results
 from pgf_jax.study.folder import MANIFEST, RESULTS, RUN, config_of, differences
 from pgf_jax.study.sweep_config import INPUTS, Cell
 
+_ALONE = "nothing stands beside it of how it came about"
 _LARGEST_FILE = 2048 * MIB
 # A manifest has these of its cells, too.
 _COMMON = ("format", "seed", "engine", "lanes", "planner", "versions", "device")
@@ -85,6 +86,8 @@ def _cells(out: Path, findings: list[Finding]) -> dict[Path, cells.Content]:
             except BadInput as error:
                 findings.append(Finding(path, _reason(path, error)))
                 continue
+            if not cells.sidecar(path).exists():
+                findings.append(Finding(path, f"foreign: {_ALONE}"))
             name = cells.key(content.about["identity"])
             if name == path.stem:
                 sound[path] = content
@@ -104,7 +107,7 @@ def _reason(path: Path, error: BadInput) -> str:
     """What is wrong with a cell that cannot be read."""
     words = str(error).removeprefix(f"{path}: ")
     if not cells.sidecar(path).exists():
-        words = f"foreign: nothing stands beside it of how it came about ({words})"
+        words = f"foreign: {_ALONE}, and it is no cell ({words})"
     elif words.startswith("truncated or edited"):
         length = cells.read_account(path).get("bytes")
         found = path.stat().st_size

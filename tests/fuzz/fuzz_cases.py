@@ -374,7 +374,6 @@ def _cell(folder: Path) -> None:
     content = cells.read(cells.path(folder, key()))
     results.task_records(content.tasks)
     results.event_log(content.events)
-    cells.describe(content.about["identity"])
     assert cells.decode(content.data(), folder).data() == content.data()
 
 
