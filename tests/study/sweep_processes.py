@@ -132,6 +132,11 @@ class Cluster:
                 env=os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *_path()])},
             )
 
+    def wait(self) -> None:
+        """Until all workers are there: a sweep makes batches for those that it finds."""
+        logs = [self.folder / f"worker{i + 1}.log" for i in range(len(self.workers))]
+        wait_for(lambda: all(b"Registered to" in log.read_bytes() for log in logs))
+
     def close(self) -> None:
         for process in (*self.workers, self.scheduler):
             kill_group(process)
@@ -143,6 +148,7 @@ def cluster(folder: Path, workers: int = 2) -> Iterator[Cluster]:
     try:
         for _ in range(workers):
             running.add_worker()
+        running.wait()
         yield running
     finally:
         running.close()

@@ -126,7 +126,6 @@ def test_two_sweeps_do_not_share_a_folder(tmp_path):
 def test_workers_of_dask_find_the_same(toy, tmp_path):
     """One is killed in the midst of it; then the scheduler is."""
     with cluster(tmp_path / "dask") as running:
-        wait_for(lambda: len(worker_processes(running)) == 2)
         process = ghosts(tmp_path / "out", "--scheduler", running.address)
         wait_for(lambda: cells(tmp_path / "out"))
         os.kill(worker_processes(running)[0], signal.SIGKILL)
@@ -262,7 +261,6 @@ def test_killed_at_a_random_moment(forty, tmp_path, victim, trial):
 
 def _killed_with_dask(out: Path, folder: Path, victim: str, moment: float) -> None:
     with cluster(folder) as running:
-        wait_for(lambda: len(worker_processes(running)) == 2)
         process = start(out, "--scheduler", running.address)
         time.sleep(moment)
         if victim == "a worker of Dask":
@@ -303,6 +301,7 @@ def test_workers_in_other_networks_without_the_folder(forty, tmp_path):
                 running.add_worker(
                     "ip", "netns", "exec", name, "unshare", "-m", "sh", "-c", hide, "sh"
                 )
+            running.wait()
             finish(hidden / "out", "--scheduler", running.address)
         finally:
             running.close()
