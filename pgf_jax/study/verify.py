@@ -18,7 +18,7 @@ from pgf_jax.study.event_log import first_difference
 from pgf_jax.study.folder import config_of, differences
 from pgf_jax.study.sweep import sweeps
 from pgf_jax.study.sweep_config import INPUTS
-from pgf_jax.study.sweep_setup import prepare
+from pgf_jax.study.sweep_setup import Loaded, prepare
 from pgf_jax.study.verify_config import VerifyConfig
 from pgf_jax.study.verify_files import Checked, Finding, check_files
 
@@ -115,13 +115,14 @@ def _again(
     findings: list[Finding] = []
     now = {name: getattr(config, name) for name in INPUTS}
     now = {name: value for name, value in now.items() if value is not None}
+    loaded: Loaded = {}
     with tempfile.TemporaryDirectory() as name:
         configs, files = [], []
         for path in drawn:
             inputs = cells.inputs(path) | now
             try:
                 again = config_of(checked.sound[path], inputs, Path(name) / path.stem)
-                prepare(again)  # what it reads is there
+                prepare(again, loaded)  # what it reads is there
             except (BadInput, TypeError) as error:
                 findings.append(Finding(path, f"cannot be computed again: {error}"))
                 continue
