@@ -16,17 +16,17 @@ os.environ.setdefault("NPROC", "1")
 
 import jax
 import numpy as np
+import predictor_evaluation as ev
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from pgf_jax.guidance import evaluation as ev
-from pgf_jax.guidance.fitting import fit
-from pgf_jax.guidance.forks import Forks, forks_of, read_forks
-from pgf_jax.guidance.rows import FEATURES, Rows
-from pgf_jax.guidance.runs import Mode, runs_path
-from pgf_jax.guidance.state import STATE
-from pgf_jax.guidance.train_config import TrainConfig
+from pgf_jax.guidance.predictors.features import FEATURES, STATE
+from pgf_jax.tables.forks import Forks, forks_of, read_forks
+from pgf_jax.tables.runs import Mode, runs_path
+from pgf_jax.training.config import TrainConfig
+from pgf_jax.training.fit import fit
+from pgf_jax.training.rows import Rows
 
 SIZES = (2, 4, 8)
 SPREAD = 30.0  # units of cost, where asinh turns from linear to logarithmic

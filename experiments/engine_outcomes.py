@@ -15,8 +15,8 @@ from rich.console import Console
 
 from pgf_jax import PlanConfig, sample_scene
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
+from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.scene import PRESETS
-from pgf_jax.study.plan import plan_scenes
 
 LIMIT = 30  # iterations
 LANES = {"mjx": 8, "planar": 32}

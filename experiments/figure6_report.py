@@ -8,9 +8,9 @@ import polars as pl
 from matplotlib.figure import Figure
 from study_runs import difference, over_seeds, read, text
 
+from pgf_jax.files import png, write_atomically
 from pgf_jax.fleet.metrics import Interval
-from pgf_jax.guidance.tables import write_atomically
-from pgf_jax.study.figures import MARKERS, png
+from pgf_jax.sweeping.figure6 import MARKERS
 
 POLICIES = {  # name here: (policy, predictor) of the rows
     "PGF": ("pgf", "paper"),

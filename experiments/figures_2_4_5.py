@@ -25,19 +25,17 @@ from figures_2_4_5_windows import POLICIES, figure5, table
 from study_runs import ROOT, script, stored
 
 from pgf_jax import BadInput, PlanConfig, Scene, SweepConfig, sample_scene, sweep
+from pgf_jax.batching.planner_service import planner_service_of
+from pgf_jax.files import png, read_json, write_atomically
 from pgf_jax.guidance.geometry import end_effector
-from pgf_jax.guidance.heuristic import HeuristicOperator
-from pgf_jax.guidance.operators import View
-from pgf_jax.guidance.tables import write_atomically
+from pgf_jax.guidance.operators.heuristic import HeuristicOperator
+from pgf_jax.guidance.view import View
 from pgf_jax.planning import nominal
 from pgf_jax.planning.planner import BatchPlanner, Search, start_world
+from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.scene.sampling import OBJECTS
-from pgf_jax.study import results
-from pgf_jax.study.checks import MAX_SEED, whole
-from pgf_jax.study.computer import planning_computer
-from pgf_jax.study.figures import png
-from pgf_jax.study.plan import plan_scenes
-from pgf_jax.study.sweep_config import LANES
+from pgf_jax.settings import MAX_SEED, check_int
+from pgf_jax.sweeping.config import LANES
 
 ENGINE = "planar"
 MOVED = 0.05  # m, least distance over which the push of figure 2 moves its object
@@ -283,7 +281,7 @@ def compute(config: Config) -> None:
     """Write the data files."""
     folder, content = config.folder(), {}
     if {2, 4} & {*config.figures}:
-        planner = planning_computer(plan_config(), OBJECTS).planner
+        planner = planner_service_of(plan_config(), OBJECTS).planner
         begun = begin(config, planner)
         if 2 in config.figures:
             content[2] = figure2(config, planner, begun)
@@ -298,7 +296,7 @@ def compute(config: Config) -> None:
 
 def run(config: Config) -> None:
     """Compute, unless only drawing was asked for; draw."""
-    whole("--seed", config.seed, 0, MAX_SEED - PRESETS[config.preset].scenes)
+    check_int("--seed", config.seed, 0, MAX_SEED - PRESETS[config.preset].scenes)
     if not config.draw:
         compute(config)
     for number in config.figures:
@@ -306,7 +304,7 @@ def run(config: Config) -> None:
         picture = path.with_suffix(".png")
         if not path.is_file():
             raise BadInput(f"{path}: no such file, expected data that were computed without --draw")
-        write_atomically(picture, png(FIGURES[number](results.read_json(path))))
+        write_atomically(picture, png(FIGURES[number](read_json(path))))
         print(picture)
 
 

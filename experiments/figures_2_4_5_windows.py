@@ -14,9 +14,10 @@ from figures_2_4_5_drawing import rounded, scene_content
 
 from pgf_jax import BadInput, SweepConfig
 from pgf_jax.fleet.events import Event, EventKind
-from pgf_jax.study import results
-from pgf_jax.study.sweep import SweepResult
-from pgf_jax.study.sweep_setup import task_scene
+from pgf_jax.sweeping.resolve import task_scene
+from pgf_jax.sweeping.summary import csv
+from pgf_jax.sweeping.sweep import SweepResult
+from pgf_jax.tables import results
 
 POLICIES = ("pgf", "or-hitl")  # the windows are the first's
 BIDDERS = 5  # at most, in the window that is shown
@@ -179,4 +180,4 @@ def table(content: dict[str, Any]) -> bytes:
         for policy, outcome in bidder["outcomes"].items():
             row |= {f"{policy}_{name}": value for name, value in outcome.items()}
         rows.append(row)
-    return results.csv(pl.DataFrame(rows, infer_schema_length=None))
+    return csv(pl.DataFrame(rows, infer_schema_length=None))

@@ -17,9 +17,9 @@ from rich.table import Table
 
 from pgf_jax import Plan, PlanConfig, sample_scene
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
+from pgf_jax.fleet.policies import once_after
+from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.scene import PRESETS
-from pgf_jax.study.asks import once_after
-from pgf_jax.study.plan import plan_scenes
 
 HARD_AFTER, LIMIT = 6, 30  # iterations
 

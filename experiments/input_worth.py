@@ -12,9 +12,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from pgf_jax.guidance.forks import FORK, read_forks
-from pgf_jax.guidance.runs import Mode, runs_path
-from pgf_jax.guidance.tables import read_provenance
+from pgf_jax.tables.forks import FORK, read_forks
+from pgf_jax.tables.parquet import read_provenance
+from pgf_jax.tables.runs import Mode, runs_path
 
 NEAR_WALL = 0.10  # m, room of the goal to the nearer side wall
 PARTS = {

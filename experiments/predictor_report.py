@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import predictor_evaluation as ev
 from matplotlib.figure import Figure
 
-from pgf_jax.guidance import evaluation as ev
-from pgf_jax.guidance.fitting import Trained
-from pgf_jax.guidance.forks import Forks, read_forks
-from pgf_jax.guidance.predictor import Bidder
-from pgf_jax.guidance.rows import LOOK_AHEAD
-from pgf_jax.guidance.runs import Mode, read_runs, runs_path
-from pgf_jax.guidance.state import STATE
-from pgf_jax.guidance.tables import read_provenance
+from pgf_jax.batching.requests import GainPredictor
+from pgf_jax.guidance.predictors.features import STATE
+from pgf_jax.planning.types import LOOK_AHEAD
 from pgf_jax.scene import PRESETS
+from pgf_jax.tables.forks import Forks, read_forks
+from pgf_jax.tables.parquet import read_provenance
+from pgf_jax.tables.runs import Mode, read_runs, runs_path
+from pgf_jax.training.fit import Trained
 
 if TYPE_CHECKING:
     from train_predictors import Data
@@ -100,7 +100,7 @@ def cost_table(data: "Data", networks: Mapping[str, Sequence[Trained]]) -> list[
     return out
 
 
-def gain_table(forks: Forks, bidders: Mapping[str, Sequence[Bidder]]) -> dict[str, Any]:
+def gain_table(forks: Forks, bidders: Mapping[str, Sequence[GainPredictor]]) -> dict[str, Any]:
     """How bids compare with true gains on the held-out forks, by class."""
     out: dict[str, Any] = {}
     for name, index in _parts(forks.scene_class):
@@ -149,7 +149,7 @@ def gain_table(forks: Forks, bidders: Mapping[str, Sequence[Bidder]]) -> dict[st
     return out
 
 
-def draw_calibration(forks: Forks, bidders: Mapping[str, Sequence[Bidder]]) -> bytes:
+def draw_calibration(forks: Forks, bidders: Mapping[str, Sequence[GainPredictor]]) -> bytes:
     """Predicted against true gain, in groups of equally many states, as a PNG."""
     figure = Figure(figsize=(4.6, 4.2), layout="constrained")
     ax = figure.subplots()

@@ -20,8 +20,8 @@ from rich.table import Table
 
 from pgf_jax import Push, make_engine, sample_scene
 from pgf_jax.fleet.metrics import rate_interval
-from pgf_jax.guidance import heuristic
-from pgf_jax.guidance.operators import View
+from pgf_jax.guidance.operators import heuristic
+from pgf_jax.guidance.view import View
 from pgf_jax.physics.engine import World
 from pgf_jax.planning.planner import BatchPlanner, Search, start_world
 from pgf_jax.scene import PRESETS

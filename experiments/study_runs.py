@@ -25,13 +25,14 @@ import tyro
 from rich.console import Console
 
 from pgf_jax import BadInput, SweepConfig, sweeps
+from pgf_jax.files import write_atomically
 from pgf_jax.fleet.attention import attention
 from pgf_jax.fleet.identities import verify
 from pgf_jax.fleet.metrics import NS_PER_HOUR, Interval, mean_interval, summarise
-from pgf_jax.guidance.tables import write_atomically
-from pgf_jax.study import results
-from pgf_jax.study.sweep import SweepResult
-from pgf_jax.study.sweep_setup import prepare
+from pgf_jax.sweeping.resolve import prepare
+from pgf_jax.sweeping.summary import csv
+from pgf_jax.sweeping.sweep import SweepResult
+from pgf_jax.tables import results
 
 ROOT = Path(__file__).resolve().parent.parent
 RAW = ROOT / "results/study"  # git ignores it
@@ -93,7 +94,7 @@ def compute(name: str, runs: Sequence[Run], out: Path, raw: Path = RAW) -> None:
     ]
     families: dict[object, list[int]] = {}
     for i, config in enumerate(configs):
-        families.setdefault(prepare(config).lineage(), []).append(i)
+        families.setdefault(prepare(config).cache_key(), []).append(i)
 
     def tasks(family: list[int]) -> int:
         return sum(cell.robots * cell.tasks for i in family for cell in configs[i].cells())
@@ -114,7 +115,7 @@ def compute(name: str, runs: Sequence[Run], out: Path, raw: Path = RAW) -> None:
             frames[i] = [dict(runs[i].labels) | row for row in rows_of(configs[i], outcome)]
     rows = [row for i in range(len(runs)) for row in frames[i]]
     table = pl.DataFrame(rows, infer_schema_length=None)
-    write_atomically(out / f"{name}.csv", results.csv(table))
+    write_atomically(out / f"{name}.csv", csv(table))
 
 
 def read(name: str, out: Path) -> pl.DataFrame:

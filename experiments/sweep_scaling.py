@@ -29,8 +29,8 @@ from rich.console import Console
 from rich.table import Table
 
 from pgf_jax import SweepConfig, sweeps
-from pgf_jax.study.executors import Processes
-from pgf_jax.study.folder import RUN
+from pgf_jax.parallel.local import LocalPool
+from pgf_jax.sweeping.cell_store import RUN
 
 POLICIES = ("autonomous", "or-hitl", "or-hitl-window", "always", "queue", "pgf")
 
@@ -59,7 +59,7 @@ class Options:
 @contextmanager
 def dask(workers: int, folder: Path) -> Iterator[Executor]:
     """A scheduler and workers of this computer, as processes."""
-    from pgf_jax.study.cluster import Cluster
+    from pgf_jax.parallel.dask_executor import DaskExecutor
 
     address = "tcp://127.0.0.1:18786"
     words = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "18786"]
@@ -74,7 +74,7 @@ def dask(workers: int, folder: Path) -> Iterator[Executor]:
             stack.callback(process.wait)
             stack.callback(process.terminate)
             time.sleep(3.0)
-        executor = Cluster(address)
+        executor = DaskExecutor(address)
         stack.callback(executor.shutdown)
         while executor.count() < workers:
             time.sleep(0.2)
@@ -139,7 +139,7 @@ def main(options: Options) -> None:
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
         opened: dict[str, Executor] = {
-            "local processes": stack.enter_context(Processes(options.workers)),
+            "local processes": stack.enter_context(LocalPool(options.workers)),
             "Dask over TCP": stack.enter_context(dask(options.workers, folder)),
         }
         for turn in range(options.rounds + 1):

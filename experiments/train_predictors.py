@@ -25,15 +25,16 @@ import predictor_report as report
 import tyro
 from rich.console import Console
 
-from pgf_jax.guidance import checkpoint as ckpt
-from pgf_jax.guidance import training
-from pgf_jax.guidance.fitting import Trained, fit
-from pgf_jax.guidance.forks import Forks, forks_of, read_forks
-from pgf_jax.guidance.predictor import Bidder, Direct, Failure, Pair
-from pgf_jax.guidance.rows import PUBLISHED, Rows, autonomous_rows, human_rows
-from pgf_jax.guidance.runs import Mode, read_runs, runs_path
-from pgf_jax.guidance.tables import write_atomically
-from pgf_jax.guidance.train_config import TrainConfig
+from pgf_jax.batching.requests import GainPredictor
+from pgf_jax.files import write_atomically
+from pgf_jax.guidance.predictors import checkpoint as ckpt
+from pgf_jax.guidance.predictors.network import CostDifference, FailureClassifier, GainNetwork
+from pgf_jax.tables.forks import Forks, forks_of, read_forks
+from pgf_jax.tables.runs import Mode, read_runs, runs_path
+from pgf_jax.training import train as training
+from pgf_jax.training.config import TrainConfig
+from pgf_jax.training.fit import Trained, fit
+from pgf_jax.training.rows import PUBLISHED, Rows, autonomous_rows, human_rows
 
 SEEDS = 5
 LAST_ONLY = ("n_objects", "c_d[t-0]", "c_f[t-0]", "c_b[t-0]")  # P = 1
@@ -119,7 +120,7 @@ def published_fit(network: str, rows: Rows, seed: int) -> Trained:
     return fit(jax.random.key(seed), rows, config)
 
 
-def train(data: Data) -> tuple[dict[str, list[Trained]], dict[str, list[Bidder]]]:
+def train(data: Data) -> tuple[dict[str, list[Trained]], dict[str, list[GainPredictor]]]:
     """All networks with every seed; and the bidders that are made of them."""
 
     def all_seeds(network: str, rows: Rows) -> list[Trained]:
@@ -140,17 +141,17 @@ def train(data: Data) -> tuple[dict[str, list[Trained]], dict[str, list[Bidder]]
         for name in ckpt.PAIR
     }
 
-    def pairs(of: dict[str, list[Trained]], suffix: str = "") -> list[Bidder]:
+    def pairs(of: dict[str, list[Trained]], suffix: str = "") -> list[GainPredictor]:
         both = zip(*(of[name + suffix] for name in ckpt.PAIR), strict=True)
-        return [Pair(auto.predictor, human.predictor) for auto, human in both]
+        return [CostDifference(auto.predictor, human.predictor) for auto, human in both]
 
     bidders = {
         "paper": pairs(networks),
         "paper, tight alone": pairs(networks, ", tight alone"),
         "paper, P = 1": pairs(last),
         "paper, published rows": pairs(published),
-        "classifier": [Failure(done.predictor) for done in networks["failure"]],
-        "best": [Direct(done.predictor) for done in networks["gain"]],
+        "classifier": [FailureClassifier(done.predictor) for done in networks["failure"]],
+        "best": [GainNetwork(done.predictor) for done in networks["gain"]],
     }
     return networks, bidders
 
@@ -170,7 +171,7 @@ def save(data: Data, networks: dict[str, list[Trained]], config: Config) -> list
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
         written.append(f"| `{path.name}` | {path.stat().st_size / 1024:.0f} KiB | {digest} |")
     figure = training.draw_losses({network: networks[network] for network in ckpt.PAIR})
-    write_atomically(config.out / training.FIGURE, figure)
+    write_atomically(config.out / train.FIGURE, figure)
     return written
 
 

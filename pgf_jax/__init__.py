@@ -13,54 +13,54 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pgf_jax.collection.collect import collect as collect
+    from pgf_jax.collection.config import CollectConfig as CollectConfig
     from pgf_jax.errors import BadInput as BadInput
     from pgf_jax.fleet.config import FleetConfig as FleetConfig
-    from pgf_jax.guidance.train_config import TrainConfig as TrainConfig
-    from pgf_jax.guidance.training import train as train
+    from pgf_jax.inspection.config import VerifyConfig as VerifyConfig
+    from pgf_jax.inspection.verify import verify as verify
     from pgf_jax.physics.config import Physics as Physics
     from pgf_jax.physics.engine import make_engine as make_engine
     from pgf_jax.planning.types import Push as Push
     from pgf_jax.planning.types import Status as Status
+    from pgf_jax.plans.config import PlanConfig as PlanConfig
+    from pgf_jax.plans.file import Plan as Plan
+    from pgf_jax.plans.file import load_plan as load_plan
+    from pgf_jax.plans.file import save_plan as save_plan
+    from pgf_jax.plans.plan import plan as plan
     from pgf_jax.scene.mjcf import load_scene as load_scene
     from pgf_jax.scene.sampling import sample_scene as sample_scene
     from pgf_jax.scene.scene import Scene as Scene
-    from pgf_jax.study.collect import collect as collect
-    from pgf_jax.study.collect_config import CollectConfig as CollectConfig
-    from pgf_jax.study.plan import plan as plan
-    from pgf_jax.study.plan_config import PlanConfig as PlanConfig
-    from pgf_jax.study.plan_file import Plan as Plan
-    from pgf_jax.study.plan_file import load_plan as load_plan
-    from pgf_jax.study.plan_file import save_plan as save_plan
-    from pgf_jax.study.sweep import sweep as sweep
-    from pgf_jax.study.sweep import sweeps as sweeps
-    from pgf_jax.study.sweep_config import SweepConfig as SweepConfig
-    from pgf_jax.study.verify import verify as verify
-    from pgf_jax.study.verify_config import VerifyConfig as VerifyConfig
+    from pgf_jax.sweeping.config import SweepConfig as SweepConfig
+    from pgf_jax.sweeping.sweep import sweep as sweep
+    from pgf_jax.sweeping.sweep import sweeps as sweeps
+    from pgf_jax.training.config import TrainConfig as TrainConfig
+    from pgf_jax.training.train import train as train
 
 _MODULES = {
     "BadInput": "errors",
-    "CollectConfig": "study.collect_config",
+    "CollectConfig": "collection.config",
     "FleetConfig": "fleet.config",
     "Physics": "physics.config",
-    "Plan": "study.plan_file",
-    "PlanConfig": "study.plan_config",
+    "Plan": "plans.file",
+    "PlanConfig": "plans.config",
     "Push": "planning.types",
     "Scene": "scene.scene",
     "Status": "planning.types",
-    "SweepConfig": "study.sweep_config",
-    "TrainConfig": "guidance.train_config",
-    "VerifyConfig": "study.verify_config",
-    "collect": "study.collect",
-    "load_plan": "study.plan_file",
+    "SweepConfig": "sweeping.config",
+    "TrainConfig": "training.config",
+    "VerifyConfig": "inspection.config",
+    "collect": "collection.collect",
+    "load_plan": "plans.file",
     "load_scene": "scene.mjcf",
     "make_engine": "physics.engine",
-    "plan": "study.plan",
+    "plan": "plans.plan",
     "sample_scene": "scene.sampling",
-    "save_plan": "study.plan_file",
-    "sweep": "study.sweep",
-    "sweeps": "study.sweep",
-    "train": "guidance.training",
-    "verify": "study.verify",
+    "save_plan": "plans.file",
+    "sweep": "sweeping.sweep",
+    "sweeps": "sweeping.sweep",
+    "train": "training.train",
+    "verify": "inspection.verify",
 }
 
 __all__ = list(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]

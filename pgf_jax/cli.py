@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from tyro import _errors as tyro_errors
 
-from pgf_jax.errors import BadInput, Lost
-from pgf_jax.guidance.train_config import TrainConfig
+from pgf_jax.errors import BadInput, WorkersLost
+from pgf_jax.training.config import TrainConfig
 
 if TYPE_CHECKING:
+    from pgf_jax.collection.config import CollectConfig
     from pgf_jax.console.config import ConsoleConfig
-    from pgf_jax.study.collect_config import CollectConfig
 
 PROG = "pgf-jax"
 LOST, BAD_INPUT, INTERRUPTED = 1, 2, 130
@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _main(arguments)
     except BadInput as error:
         return _fail(" ".join(str(error).splitlines()), BAD_INPUT)
-    except Lost as error:
+    except WorkersLost as error:
         return _fail(str(error), LOST)
     except KeyboardInterrupt as error:
         return _fail(str(error) or "interrupted", INTERRUPTED)
@@ -214,13 +214,13 @@ def _keep_compiled() -> None:
 
 
 def _plan(command: Any) -> None:
-    from pgf_jax.study.plan_run import run
+    from pgf_jax.plans.command import run
 
     run(command)
 
 
 def _sweep(config: Any) -> None:
-    from pgf_jax.study.sweep import sweep
+    from pgf_jax.sweeping.sweep import sweep
 
     try:
         sweep(config)
@@ -229,20 +229,20 @@ def _sweep(config: Any) -> None:
 
 
 def _verify(config: Any) -> None:
-    from pgf_jax.study.verify import run
+    from pgf_jax.inspection.verify import run
 
     run(config)
 
 
 def _reproduce(config: Any) -> None:
-    from pgf_jax.study.reproduce_run import run
+    from pgf_jax.inspection.reproduce import run
 
     run(config)
 
 
 def _collect(config: "CollectConfig") -> None:
-    from pgf_jax.study.collect import collect
-    from pgf_jax.study.progress import Progress, clock, show_table
+    from pgf_jax.collection.collect import collect
+    from pgf_jax.terminal import Progress, clock, show_table
 
     try:
         with Progress("tasks" if config.log else "scenes") as progress:
@@ -271,8 +271,8 @@ def _collect(config: "CollectConfig") -> None:
 
 
 def _train(command: TrainCommand) -> None:
-    from pgf_jax.guidance.training import train
-    from pgf_jax.study.progress import show_table
+    from pgf_jax.terminal import show_table
+    from pgf_jax.training.train import train
 
     report = train(command.data, command.out, command.config)
     networks = [name for name in report if name != "files"]
@@ -285,27 +285,27 @@ def _train(command: TrainCommand) -> None:
 
 
 def _fit_operator(config: Any) -> None:
-    from pgf_jax.study.fit_operator import fit_operator
+    from pgf_jax.operator_fit.command import fit_operator
 
     fit_operator(config)
 
 
 def _render(config: Any) -> None:
     os.environ.setdefault("NPROC", "1")  # a plan's one rollout keeps no second thread busy
-    from pgf_jax.render.run import render
+    from pgf_jax.render.command import render
 
     print(render(config))
 
 
 def _profile(config: Any) -> None:
-    from pgf_jax.study.profile import profile
+    from pgf_jax.profiling.profile import profile
 
     profile(config)
 
 
 def _console(config: "ConsoleConfig") -> None:
     try:
-        from pgf_jax.console.run import console
+        from pgf_jax.console.command import console
     except ModuleNotFoundError as error:
         raise BadInput(
             f"console: needs {error.name}, expected an installation with it: "
@@ -315,22 +315,20 @@ def _console(config: "ConsoleConfig") -> None:
 
 
 COMMANDS = {
-    "plan": Command(
-        "plan scenes, and write the plans", "pgf_jax.study.plan_config:PlanCommand", _plan
-    ),
+    "plan": Command("plan scenes, and write the plans", "pgf_jax.plans.config:PlanCommand", _plan),
     "sweep": Command(
         "simulate fleets under several policies and sizes",
-        "pgf_jax.study.sweep_config:SweepConfig",
+        "pgf_jax.sweeping.config:SweepConfig",
         _sweep,
     ),
     "verify": Command(
         "check a sweep's results, and compute some of its cells again",
-        "pgf_jax.study.verify_config:VerifyConfig",
+        "pgf_jax.inspection.config:VerifyConfig",
         _verify,
     ),
     "reproduce": Command(
         "compute one iteration of a sweep again, to see what its rollouts did",
-        "pgf_jax.study.reproduce_config:ReproduceConfig",
+        "pgf_jax.inspection.config:ReproduceConfig",
         _reproduce,
     ),
     "console": Command(
@@ -340,18 +338,18 @@ COMMANDS = {
     ),
     "collect": Command(
         "plan sampled scenes, or replay sessions, and keep every iteration, to train on",
-        "pgf_jax.study.collect_config:CollectConfig",
+        "pgf_jax.collection.config:CollectConfig",
         _collect,
     ),
     "train": Command("train the predictors on collected runs", "pgf_jax.cli:TrainCommand", _train),
     "fit-operator": Command(
         "fit the operator's service times to recorded sessions",
-        "pgf_jax.study.fit_operator_config:FitOperatorConfig",
+        "pgf_jax.operator_fit.config:FitOperatorConfig",
         _fit_operator,
     ),
     "profile": Command(
         "measure the engines' speed on this computer",
-        "pgf_jax.study.profile_config:ProfileConfig",
+        "pgf_jax.profiling.config:ProfileConfig",
         _profile,
     ),
     "render": Command(

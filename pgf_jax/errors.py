@@ -14,7 +14,7 @@ class BadInput(ValueError):
         super().__init__(_one_line(str(message)))
 
 
-class Lost(RuntimeError):
+class WorkersLost(RuntimeError):
     """What computes has gone, through no fault of the input; the command line exits with code 1.
 
     The message says so in one line, and what is kept.
@@ -24,7 +24,7 @@ class Lost(RuntimeError):
         super().__init__(_one_line(str(message)))
 
 
-def shown(value: object, most: int = 60) -> str:
+def short_repr(value: object, most: int = 60) -> str:
     """`repr` for a message: one line, not longer than `most`, whatever the value is."""
     try:
         text = " ".join(repr(value).split())

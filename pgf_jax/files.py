@@ -1,15 +1,24 @@
 """Files that may be anything: read whole, within limits, or not at all."""
 
 import contextlib
+import hashlib
+import io
 import json
 import os
 import stat
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from pgf_jax.errors import BadInput
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
 MIB = 1 << 20
+TEMPORARY = ".tmp"  # ends the names of files that are being written
+_LARGEST_JSON = 16 * MIB
 
 
 def open_file(path: Path | str, expected: str, most: int) -> BinaryIO:
@@ -103,3 +112,68 @@ def _too_large(path: Path | str, size: int, most: int, expected: str) -> BadInpu
     return BadInput(
         f"{path}: too large ({size} bytes), expected {expected} of at most {most // MIB} MiB"
     )
+
+
+def write_atomically(path: Path | str, data: bytes) -> None:
+    """Write a file whole or not at all, making its folder where needed.
+
+    It is on the disk when this returns, and so is its name: neither a crash of the process nor one
+    of the machine leaves a part of it.
+
+    Raises:
+      BadInput: it cannot be written there.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with open(temporary, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+        sync_folder(path.parent)
+    except (OSError, ValueError) as error:  # a name that no file can have is a ValueError
+        reason = getattr(error, "strerror", None) or error
+        raise BadInput(f"{path}: cannot be written ({reason})") from error
+
+
+def png(figure: "Figure", about: Mapping[str, Any] | None = None) -> bytes:
+    """The figure as a PNG file, with where it comes from; the same one gives the same bytes."""
+    buffer = io.BytesIO()
+    text = {} if about is None else {"Description": json.dumps(about, sort_keys=True)}
+    figure.savefig(buffer, format="png", dpi=150, metadata=text)
+    return buffer.getvalue()
+
+
+def sha256(data: bytes) -> str:
+    """Hex digest."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_json(path: Path, expected: str = "results of a sweep") -> dict[str, Any]:
+    """Read a JSON object.
+
+    Args:
+      path: the file.
+      expected: what it should be, for the message.
+
+    Raises:
+      BadInput: one line that names the file: missing, truncated, corrupt or not an object.
+    """
+    data = read_file(path, expected, _LARGEST_JSON)  # its BadInput is a ValueError too
+    try:
+        content = parse_json(data)
+    except ValueError as error:
+        raise BadInput(f"{path}: truncated or corrupt, not JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise BadInput(f"{path}: expected a JSON object, got a {type(content).__name__}")
+    return content
+
+
+def json_bytes(content: Mapping[str, Any]) -> bytes:
+    """A JSON file for people to read as well."""
+    return (json.dumps(content, indent=2) + "\n").encode()

@@ -1,16 +1,47 @@
-"""Settings of any type, as they come from Python, from files and from the command line."""
+"""Checks of settings, each with its one line of BadInput."""
 
 import dataclasses
 import functools
 import numbers
 import operator
 import os
+import sys
 import types
 import typing
 from pathlib import Path
 from typing import Any, Literal
 
-from pgf_jax.errors import BadInput, shown
+from pgf_jax.errors import BadInput, short_repr
+
+MAX_SEED = 2**32 - 1  # a seed is one word of a noise key
+
+
+def check_choice(name: str, value: object, choices: list[str]) -> None:
+    """BadInput unless `value` is one of `choices`."""
+    if not isinstance(value, str) or value not in choices:
+        raise BadInput(f"{name}: expected one of {', '.join(choices)}, got {short_repr(value)}")
+
+
+def check_int(name: str, value: object, least: int, most: int | None = None) -> None:
+    """BadInput unless `value` is a whole number within least..most."""
+    if (
+        not isinstance(value, int)
+        or isinstance(value, bool)
+        or value < least
+        or (most is not None and value > most)
+    ):
+        bounds = f"{least} or more" if most is None else f"within {least}..{most}"
+        raise BadInput(f"{name}: expected a whole number {bounds}, got {short_repr(value)}")
+
+
+def check_seconds(name: str, value: float, least: float) -> None:
+    """BadInput unless `value` is a finite number of seconds, `least` or more."""
+    # A whole number may be too large for what it is used as.
+    if not isinstance(value, int | float) or not least <= value <= sys.float_info.max:
+        raise BadInput(
+            f"{name}: expected a number of seconds, {least:g} or more, got {short_repr(value)}"
+        )
+
 
 _MOST = 10_000  # values in a list
 
@@ -97,4 +128,4 @@ def _number(name: str, value: Any, kind: Any) -> Any:
 
 
 def _wrong(name: str, expected: str, value: Any) -> BadInput:
-    return BadInput(f"{name}: expected {expected}, got {shown(value)}")
+    return BadInput(f"{name}: expected {expected}, got {short_repr(value)}")

@@ -13,7 +13,7 @@ import pytest
 import pgf_jax.cli as cli
 from pgf_jax.cli import COMMANDS, main
 from pgf_jax.errors import BadInput
-from pgf_jax.study.plan_file import load_plan
+from pgf_jax.plans.file import load_plan
 
 OBJECT = (
     '<body name="object_{i}" pos="{x} {y} 0.1826"><joint type="free"/>'
@@ -369,7 +369,7 @@ def test_an_interrupted_collection_names_resume(tmp_path, monkeypatch, capsys):
     def interrupt(config, on_progress):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pgf_jax.study.collect.collect", interrupt)
+    monkeypatch.setattr("pgf_jax.collection.collect.collect", interrupt)
     arguments = ["collect", "autonomous", "--scenes", 2, "--out", tmp_path, "--engine", "native"]
     code, out, err = run(arguments, capsys)
     assert (code, out) == (130, "")

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance.operators import operator_names
-from pgf_jax.settings import check_fields
-from pgf_jax.study.checks import at_least, one_of, whole
-from pgf_jax.study.sweep_config import SweepConfig
+from pgf_jax.guidance.operators.registry import operator_names
+from pgf_jax.settings import check_choice, check_fields, check_int, check_seconds
+from pgf_jax.sweeping.config import SweepConfig
 
 LOOPBACK = "127.0.0.1"
 # Of a session itself; all else is what a sweep calls by the same name.
@@ -85,17 +84,17 @@ class ConsoleConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        whole("robots", self.robots, 1, 100)
+        check_int("robots", self.robots, 1, 100)
         for name, least in (("speed", 1e-3), ("patience", 1e-3)):
-            at_least(name, getattr(self, name), least)
-        whole("port", self.port, 0, 65535)
+            check_seconds(name, getattr(self, name), least)
+        check_int("port", self.port, 0, 65535)
         try:
             ipaddress.ip_address(self.host)
         except ValueError:
             raise BadInput(
                 f"host: expected an address such as {LOOPBACK} or 0.0.0.0, got {self.host!r}"
             ) from None
-        one_of("operator", self.operator, ["live", "replay", *operator_names()])
+        check_choice("operator", self.operator, ["live", "replay", *operator_names()])
         if self.policy == "oracle-gain" and self.operator in ("live", "replay"):
             raise BadInput(
                 "policy: oracle-gain asks the operator at every iteration what they would say; "

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import viser
 
-from pgf_jax.console import wall
+from pgf_jax.console import fleet_view
+from pgf_jax.console.fleet_view import Disks, Squares
 from pgf_jax.console.layout import Layout
 from pgf_jax.console.session import Frame
-from pgf_jax.console.wall import Disks, Squares
 from pgf_jax.physics import hand
 from pgf_jax.scene.scene import RADIUS
 
@@ -59,23 +59,25 @@ class Drawing:
         self._ghost = self._mesh("ghost", *_disk(_LARGE), 1, opacity=0.55)
         self._captions = [self._label(f"caption/{i}", "top-left") for i in range(robots)]
         self._title = self._label("title", "top-left")
-        self._costs = [self._label(f"cost/{i}", "center-right") for i in range(len(wall.COSTS))]
+        self._costs = [
+            self._label(f"cost/{i}", "center-right") for i in range(len(fleet_view.COSTS))
+        ]
 
     def show(self, frame: Frame, layout: Layout) -> None:
         """Draw a frame; to be called within the server's `atomic`."""
-        pairs = wall.shown(frame.fleet, layout)
+        pairs = fleet_view.shown(frame.fleet, layout)
         picked = frame.picked
-        parts = wall.objects(pairs, None if picked is None else picked.object)
+        parts = fleet_view.objects(pairs, None if picked is None else picked.object)
         for name, disks in zip(("objects", "rims", "specks"), parts, strict=True):
             self._disks(name, disks)
-        self._squares("hands", wall.hands(pairs))
-        curves, inputs, frames = wall.curves(pairs)
+        self._squares("hands", fleet_view.hands(pairs))
+        curves, inputs, frames = fleet_view.curves(pairs)
         lines = {"curves": curves, "inputs": inputs, "frames": frames}
-        lines["walls"] = wall.walls(pairs)
-        borders, colors = wall.borders(pairs)
+        lines["walls"] = fleet_view.walls(pairs)
+        borders, colors = fleet_view.borders(pairs)
         self._put_lines("borders", borders, colors)
-        lines |= {"paths": wall.paths(pairs), "pushes": wall.pushes(pairs)}
-        lines |= {"drags": wall.drags(pairs), "numbers": wall.numbers(pairs)}
+        lines |= {"paths": fleet_view.paths(pairs), "pushes": fleet_view.pushes(pairs)}
+        lines |= {"drags": fleet_view.drags(pairs), "numbers": fleet_view.numbers(pairs)}
         lines["arrow"] = self._show_ghost(frame, layout)
         for name, points in lines.items():
             self._put_lines(name, points)
@@ -103,8 +105,8 @@ class Drawing:
         for index, handle in enumerate(self._captions):
             if index < len(layout.cells) and index < len(frame.fleet.robots):
                 cell = layout.cells[index]
-                place = (cell.x + 0.03 * cell.scale, cell.y + wall.CAPTION_V * cell.scale)
-                text = wall.caption(frame.fleet.robots[index])
+                place = (cell.x + 0.03 * cell.scale, cell.y + fleet_view.CAPTION_V * cell.scale)
+                text = fleet_view.caption(frame.fleet.robots[index])
                 self._write(handle, text, place, max(CAPTION_HEIGHT * cell.scale, SMALLEST))
             else:
                 self._write(handle, "", (0.0, 0.0), SMALLEST)
@@ -116,12 +118,12 @@ class Drawing:
                 self._write(handle, "", (0.0, 0.0), SMALLEST)
             return
         robot = frame.fleet.robots[served]
-        low, high = wall.curve_box(cell)
-        for handle, cost in zip(self._costs, wall.COSTS, strict=True):
-            place = (low[0] - 0.06, wall.cost_height(cell, cost))
+        low, high = fleet_view.curve_box(cell)
+        for handle, cost in zip(self._costs, fleet_view.COSTS, strict=True):
+            place = (low[0] - 0.06, fleet_view.cost_height(cell, cost))
             self._write(handle, f"{cost:.0f}", place, 0.16)
         iterations = max(0, len(robot.costs) - 1)
-        words = wall.caption(robot).replace("\n", "   ")
+        words = fleet_view.caption(robot).replace("\n", "   ")
         text = f"Robot {words}\n{robot.scene}, {iterations} iterations, cost:"
         self._write(self._title, text, (low[0] - 0.35, high[1] + 0.75), 0.2)
 

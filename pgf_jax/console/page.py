@@ -12,9 +12,9 @@ import numpy as np
 import viser
 
 from pgf_jax.console import layout
-from pgf_jax.console.desk import Desk, Word
-from pgf_jax.console.door import Bucket, Door
+from pgf_jax.console.access_control import AccessControl, Bucket
 from pgf_jax.console.drawing import Drawing
+from pgf_jax.console.input_panel import Feedback, InputPanel
 from pgf_jax.console.layout import Layout
 from pgf_jax.console.session import Frame, Session
 from pgf_jax.errors import BadInput
@@ -49,9 +49,16 @@ class Page:
     """
 
     def __init__(
-        self, host: str, port: int, door: Door, *, robots: int, n_objects: int, live: bool
+        self,
+        host: str,
+        port: int,
+        access: AccessControl,
+        *,
+        robots: int,
+        n_objects: int,
+        live: bool,
     ) -> None:
-        with door.guard(), _quiet():
+        with access.guard(), _quiet():
             self.server = viser.ViserServer(host=host, port=port, label="pgf_jax", verbose=False)
         if port not in (0, self.server.get_port()):
             self.server.stop()
@@ -119,7 +126,7 @@ class Page:
         session = self._session
         if session is None or not self._live:
             return
-        operator = session.desk.operator
+        operator = session.panel.operator
         for client, handle in list(self._roles.items()):
             if client == operator:
                 role = "You operate."
@@ -160,10 +167,10 @@ class Page:
     def _make_controls(self) -> None:
         gui = self.server.gui
         if self._live:
-            acts: tuple[tuple[str, Any, Any, Callable[[Desk, int], Word]], ...] = (
-                ("Push", "green", "enter", lambda desk, client: desk.confirm(client)),
-                ("Go on reaching", "blue", "G", lambda desk, client: desk.go_on(client)),
-                ("Undo", "gray", "escape", lambda desk, client: desk.undo(client)),
+            acts: tuple[tuple[str, Any, Any, Callable[[InputPanel, int], Feedback]], ...] = (
+                ("Push", "green", "enter", lambda panel, client: panel.confirm(client)),
+                ("Go on reaching", "blue", "G", lambda panel, client: panel.go_on(client)),
+                ("Undo", "gray", "escape", lambda panel, client: panel.undo(client)),
             )
             for label, color, key, do in acts:
                 gui.add_button(label, color=color).on_click(self._handler(do))
@@ -177,19 +184,19 @@ class Page:
             )
             for key, label, deeper, left in moves:
                 gui.add_command(label, hotkey=key).on_trigger(
-                    self._handler(lambda desk, c, d=deeper, s=left: desk.nudge(c, d, s))
+                    self._handler(lambda panel, c, d=deeper, s=left: panel.nudge(c, d, s))
                 )
             gui.add_command("Next object", hotkey="tab").on_trigger(
-                self._handler(lambda desk, client: desk.next_object(client))
+                self._handler(lambda panel, client: panel.next_object(client))
             )
             gui.add_button("Operate", color="gray").on_click(self._on_take)
             gui.add_command("Operate", hotkey="O").on_trigger(self._on_take)
         gui.add_command("View from the front", hotkey="V").on_trigger(self._on_view)
         gui.add_markdown(HELP if self._live else "V: view from the front.")
 
-    def _handler(self, do: Callable[[Desk, int], Word]) -> Callable[[Any], Any]:
+    def _handler(self, do: Callable[[InputPanel, int], Feedback]) -> Callable[[Any], Any]:
         async def handle(event: Any) -> None:
-            self._act(event.client_id, lambda desk: do(desk, event.client_id))
+            self._act(event.client_id, lambda panel: do(panel, event.client_id))
 
         return handle
 
@@ -199,9 +206,9 @@ class Page:
         place = _on_poster(event.ray_origin, event.ray_direction)
         client = event.client_id
         robot, x, y = (None, 0.0, 0.0) if place is None else self._layout.find(*place)
-        self._act(client, lambda desk: desk.click(client, robot, x, y))
+        self._act(client, lambda panel: panel.click(client, robot, x, y))
 
-    def _act(self, client: int | None, do: Callable[[Desk], Word]) -> None:
+    def _act(self, client: int | None, do: Callable[[InputPanel], Feedback]) -> None:
         session = self._session
         if client is None or session is None or not self._may(client):
             return
@@ -229,10 +236,10 @@ class Page:
                 self._flooding.discard(client)
             return allowed
 
-    def _tell(self, client: int, word: Word) -> None:
+    def _tell(self, client: int, word: Feedback) -> None:
         """In the session's thread: what came of an act, to who did it."""
         session = self._session
-        operates = session is not None and session.desk.operator == client
+        operates = session is not None and session.panel.operator == client
         if not word.ok:
             log.info("client %d refused: %s", client, word.text)
         if operates:

@@ -13,21 +13,21 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from pgf_jax.console.desk import Desk, Word
-from pgf_jax.console.live import Asked
-from pgf_jax.console.record import Record
-from pgf_jax.console.setting import Setting
+from pgf_jax.batching.planner_service import warm_up
+from pgf_jax.console.input_panel import Feedback, InputPanel
+from pgf_jax.console.live_operator import InputRequest
+from pgf_jax.console.recorder import SessionRecorder
+from pgf_jax.console.session_spec import SessionSpec
 from pgf_jax.fleet.events import EventKind
 from pgf_jax.planning.types import UNANSWERED
-from pgf_jax.study.computer import warm_up
-from pgf_jax.study.play import Play
-from pgf_jax.study.snapshot import FleetSnapshot
+from pgf_jax.simulation.runner import FleetRunner
+from pgf_jax.simulation.snapshot import FleetSnapshot
 
 log = logging.getLogger(__name__)
 
 TICK_S = 0.02  # how long nothing is done at most
 FRAME_S = 0.2  # between pictures of a fleet in which nothing is picked
-LATE = Word("Too late: the robot had no time left.", ok=False)
+LATE = Feedback("Too late: the robot had no time left.", ok=False)
 HOLD_S = 0.5  # how far the computer may be behind before the clock waits for it
 
 
@@ -111,19 +111,19 @@ class Session:
       on_frame: shown to with every picture, in the session's thread.
     """
 
-    def __init__(self, setting: Setting, on_frame: Callable[[Frame], None]) -> None:
-        self.desk = Desk()
-        self.play: Play = setting.play(self._open)
-        setting.catch_up(self.play)
-        self.record: Record = setting.record(self.play)
-        self.clock = WallClock(setting.config.speed, setting.start_ns)
-        self._config, self._on_frame = setting.config, on_frame
-        self._live = setting.config.operator == "live"
+    def __init__(self, spec: SessionSpec, on_frame: Callable[[Frame], None]) -> None:
+        self.panel = InputPanel()
+        self.play: FleetRunner = spec.play(self._open)
+        spec.catch_up(self.play)
+        self.record: SessionRecorder = spec.record(self.play)
+        self.clock = WallClock(spec.config.speed, spec.start_ns)
+        self._config, self._on_frame = spec.config, on_frame
+        self._live = spec.config.operator == "live"
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._replies: list[Callable[[], None]] = []  # sent when all is on the disk
         self._answers: dict[tuple, Callable[[bool], None]] = {}  # by service: when its end is
-        self._until_ns = setting.start_ns
-        self._asked_ns = setting.start_ns  # when the service under way began
+        self._until_ns = spec.start_ns
+        self._asked_ns = spec.start_ns  # when the service under way began
         self._seen = 0  # events; catching up may have ended a service that it opened
         self._there = self.play.fleet.operators.is_there(0)
         self._frame_at = 0.0
@@ -131,16 +131,16 @@ class Session:
 
     # -- from other threads ---------------------------------------------------------------------
 
-    def ask(self, act: Callable[[Desk], Word], reply: Callable[[Word], None]) -> None:
+    def ask(self, act: Callable[[InputPanel], Feedback], reply: Callable[[Feedback], None]) -> None:
         """Have a client's act done at the desk; `reply` is called with what they are told."""
 
         def do() -> None:
-            asked = self.desk.asked
+            asked = self.panel.asked
             try:
-                word = act(self.desk)
+                word = act(self.panel)
             except Exception:  # whatever a client sent, the fleet keeps planning
                 log.exception("a client's act failed")
-                word = Word("That did not work.", ok=False)
+                word = Feedback("That did not work.", ok=False)
             if word.answered and asked is not None:
                 self._answers[asked.service] = lambda in_time: reply(word if in_time else LATE)
             else:
@@ -149,11 +149,11 @@ class Session:
 
         self._inbox.put(do)
 
-    def take(self, client: int, reply: Callable[[Word], None]) -> None:
+    def take(self, client: int, reply: Callable[[Feedback], None]) -> None:
         """A client wants to operate."""
 
-        def act(desk: Desk) -> Word:
-            word = desk.take(client)
+        def act(panel: InputPanel) -> Feedback:
+            word = panel.take(client)
             if word.ok:
                 self._attend(True)
                 if self._live and not self.clock.running:
@@ -165,21 +165,23 @@ class Session:
     def leave(self, client: int) -> None:
         """A client has gone."""
 
-        def act(desk: Desk) -> Word:
-            if desk.leave(client):
+        def act(panel: InputPanel) -> Feedback:
+            if panel.leave(client):
                 log.info("client %d, who operated, has left", client)
                 self._attend(False)
-            return Word("")
+            return Feedback("")
 
         self.ask(act, lambda word: None)
 
-    def act(self, client: int, do: Callable[[Desk], Word], reply: Callable[[Word], None]) -> None:
+    def act(
+        self, client: int, do: Callable[[InputPanel], Feedback], reply: Callable[[Feedback], None]
+    ) -> None:
         """The operator did something; they are there, even if they were taken to be away."""
 
-        def act(desk: Desk) -> Word:
-            if client == desk.operator:
+        def act(panel: InputPanel) -> Feedback:
+            if client == panel.operator:
                 self._attend(True)
-            return do(desk)
+            return do(panel)
 
         self.ask(act, reply)
 
@@ -196,7 +198,7 @@ class Session:
         The log can be gone on with unless the fleet is done.
         """
         fleet = self.play.fleet
-        warm_up(self.play.computer, self._any_search(), self._config.seed)
+        warm_up(self.play.planner_service, self._any_search(), self._config.seed)
         if not self._live:
             self.clock.start()
         with ThreadPoolExecutor(1, "engine") as worker:
@@ -207,18 +209,18 @@ class Session:
                 if under_way is not None and under_way[1].done():
                     batch, future = under_way
                     under_way = None
-                    self.play.queue.tell(batch, future.result())
+                    self.play.queue.resolve(batch, future.result())
                     self._inbox.put(None)  # what follows from it follows at once
                 if under_way is None:
                     under_way = self._next_call(worker)
                 self._show()
             if under_way is not None:
-                self.play.queue.tell(under_way[0], under_way[1].result())
+                self.play.queue.resolve(under_way[0], under_way[1].result())
         self.clock.stop()
         self._show(over=True)
 
     def _any_search(self):
-        return next(iter(self.play.crew.robots.values())).search
+        return next(iter(self.play.planned.robots.values())).search
 
     def _take_in(self) -> None:
         """Do what clients have asked for; wait for it a little."""
@@ -249,11 +251,11 @@ class Session:
             _safely(reply)
 
     def _give_up_waiting(self, now_ns: int) -> None:
-        if self.desk.asked is None:
+        if self.panel.asked is None:
             return
         if now_ns - self._asked_ns >= self._config.patience * 1e9:
-            log.info("robot %d goes on alone: no answer", self.desk.asked.robot)
-            self.desk.answer(UNANSWERED)
+            log.info("robot %d goes on alone: no answer", self.panel.asked.robot)
+            self.panel.answer(UNANSWERED)
             self._attend(False)  # nor would others get one
 
     def _end_services(self) -> None:
@@ -266,9 +268,9 @@ class Session:
             if service in self._answers:
                 in_time = event.outcome in ("push", "go_on")
                 self._replies.append(functools.partial(self._answers.pop(service), in_time))
-            elif self.desk.asked is not None and self.desk.asked.service == service:
+            elif self.panel.asked is not None and self.panel.asked.service == service:
                 log.info("robot %d has no time left for an answer", event.robot)
-                self.desk.close()
+                self.panel.close()
         self._seen = len(events)
 
     def _next_call(self, worker: ThreadPoolExecutor) -> tuple[list, Future] | None:
@@ -276,12 +278,14 @@ class Session:
         batch = self.play.queue.take_others() or self.play.queue.take_steps()
         if not batch:
             return None
-        future = worker.submit(self.play.computer.compute, [request for *_, request in batch])
+        future = worker.submit(
+            self.play.planner_service.compute, [request for *_, request in batch]
+        )
         future.add_done_callback(lambda _: self._inbox.put(None))
         return batch, future
 
-    def _open(self, asked: Asked) -> None:
-        self.desk.open(asked)
+    def _open(self, asked: InputRequest) -> None:
+        self.panel.open(asked)
         self._asked_ns = self.play.fleet.now_ns
         self._frame_at = 0.0
 
@@ -295,8 +299,8 @@ class Session:
         if now < self._frame_at and not over:
             return
         self._frame_at = now + FRAME_S
-        asked, desk = self.desk.asked, self.desk
-        picked = asked and Picked(asked.robot, desk.object, desk.target, desk.problem)
+        asked, panel = self.panel.asked, self.panel
+        picked = asked and Picked(asked.robot, panel.object, panel.target, panel.problem)
         time_ns = max(self.clock.now_ns(), self.play.fleet.now_ns)
         frame = Frame(
             self.play.watch.snapshot(time_ns),

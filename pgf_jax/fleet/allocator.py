@@ -12,7 +12,7 @@ from pgf_jax.fleet.policies import Discipline
 from pgf_jax.streams import stream
 
 
-class Reply(enum.Enum):
+class AskOutcome(enum.Enum):
     """What becomes of an ask at the instant it is made."""
 
     IGNORED = enum.auto()  # nobody is free and no window open: it does not count as an ask
@@ -24,7 +24,7 @@ class Reply(enum.Enum):
 class Allocator(Protocol):
     """One discipline. `free` is always the number of operators free at that instant."""
 
-    def ask(self, robot: int, bid: float, *, free: int) -> Reply:
+    def ask(self, robot: int, bid: float, *, free: int) -> AskOutcome:
         """A robot that is not waiting asks."""
         ...
 
@@ -41,16 +41,16 @@ class Allocator(Protocol):
         ...
 
 
-class Line:
+class FifoQueue:
     """First come, first served; asks at one instant come in the order of D8, by robot."""
 
     def __init__(self) -> None:
         self.waiting: list[int] = []
 
-    def ask(self, robot: int, bid: float, *, free: int) -> Reply:
+    def ask(self, robot: int, bid: float, *, free: int) -> AskOutcome:
         """Joins the line; `match` serves it at once when an operator is free."""
         self.waiting.append(robot)
-        return Reply.WAITS
+        return AskOutcome.WAITS
 
     def withdraw(self, robot: int) -> None:
         """Leaves the line."""
@@ -66,12 +66,12 @@ class Line:
         raise AssertionError("a line has no windows")
 
 
-class Refuse(Line):
+class LossSystem(FifoQueue):
     """A line in which nobody waits: granted at once or refused."""
 
-    def ask(self, robot: int, bid: float, *, free: int) -> Reply:
+    def ask(self, robot: int, bid: float, *, free: int) -> AskOutcome:
         """Refused while all operators are busy."""
-        return super().ask(robot, bid, free=free) if free else Reply.REFUSED
+        return super().ask(robot, bid, free=free) if free else AskOutcome.REFUSED
 
 
 class Window:
@@ -89,16 +89,16 @@ class Window:
         self._robots = robots
         self._number = 0
 
-    def ask(self, robot: int, bid: float, *, free: int) -> Reply:
+    def ask(self, robot: int, bid: float, *, free: int) -> AskOutcome:
         """Joins the open window, or opens one if an operator is free."""
         if math.isnan(bid):
             raise ValueError(f"robot {robot} bids nan, which no order of bids can hold")
         opens = not self.is_open
         if opens and not free:
-            return Reply.IGNORED
+            return AskOutcome.IGNORED
         self.is_open = True
         self.bids[robot] = bid
-        return Reply.OPENS if opens else Reply.WAITS
+        return AskOutcome.OPENS if opens else AskOutcome.WAITS
 
     def withdraw(self, robot: int) -> None:
         """Takes the bid back; the window stays open, even empty."""
@@ -120,51 +120,4 @@ def make_allocator(discipline: Discipline, *, seed: int, robots: int) -> Allocat
     """The allocator of a discipline, with nobody waiting."""
     if discipline is Discipline.WINDOW:
         return Window(seed=seed, robots=robots)
-    return Line() if discipline is Discipline.LINE else Refuse()
-
-
-class Operators:
-    """Who is there, and busy with which robot."""
-
-    def __init__(self, count: int) -> None:
-        self._serving: list[int | None] = [None] * count  # [operators] robot, or None: nobody
-        self._last: list[int | None] = [None] * count  # [operators] robot served before
-        self._away = [False] * count
-
-    @property
-    def free(self) -> int:
-        """How many operators are there and serve nobody."""
-        return len(self._idle())
-
-    def serving(self, operator: int) -> int | None:
-        """The robot that an operator serves, or None."""
-        return self._serving[operator]
-
-    def is_there(self, operator: int) -> bool:
-        """Whether an operator takes robots on."""
-        return not self._away[operator]
-
-    def attend(self, operator: int, present: bool) -> None:
-        """An operator comes or leaves; a service under way goes on all the same."""
-        self._away[operator] = not present
-
-    def _idle(self) -> list[int]:
-        pairs = enumerate(zip(self._serving, self._away, strict=True))
-        return [i for i, (robot, away) in pairs if robot is None and not away]
-
-    def take(self, robot: int) -> tuple[int, bool]:
-        """The free operator of lowest index turns to `robot`: (operator, switched).
-
-        A switch is a turn to another robot than the one served before; an operator's first service
-        is none, because there is nothing to turn away from.
-        """
-        operator = self._idle()[0]
-        switched = self._last[operator] not in (None, robot)
-        self._serving[operator] = self._last[operator] = robot
-        return operator, switched
-
-    def release(self, robot: int) -> int:
-        """The operator who served `robot` is free again; returns which one."""
-        operator = self._serving.index(robot)
-        self._serving[operator] = None
-        return operator
+    return FifoQueue() if discipline is Discipline.LINE else LossSystem()

@@ -7,8 +7,8 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence
 
-from pgf_jax.fleet.clock import nanoseconds
 from pgf_jax.fleet.config import FleetConfig
+from pgf_jax.fleet.event_calendar import nanoseconds
 from pgf_jax.fleet.events import ENDS_OF_WAITING, Event, EventKind
 from pgf_jax.fleet.metrics import (
     NS_PER_HOUR,

@@ -96,3 +96,23 @@ def _is_number(value: object) -> bool:
 def _whole(name: str, value: object, least: int) -> None:
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
         raise BadInput(f"{name} must be a whole number, {least} or more, got {value!r}")
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """One fleet of a sweep: a policy and a fleet size; what a row of `summary.csv` is about.
+
+    Attributes:
+      policy: its name.
+      robots: R.
+      tasks: of each robot.
+    """
+
+    policy: str
+    robots: int
+    tasks: int
+
+    @property
+    def name(self) -> str:
+        """Names the folder of its files."""
+        return f"{self.policy}_R{self.robots}"

@@ -8,8 +8,8 @@ and what the horizon cuts off is a term of its own.
 from collections import Counter
 from collections.abc import Collection, Sequence
 
-from pgf_jax.fleet.clock import nanoseconds
 from pgf_jax.fleet.config import FleetConfig
+from pgf_jax.fleet.event_calendar import nanoseconds
 from pgf_jax.fleet.events import ENDS_OF_WAITING, Event, EventKind
 from pgf_jax.fleet.metrics import window_sizes
 from pgf_jax.fleet.policies import Discipline, make_policy

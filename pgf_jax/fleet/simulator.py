@@ -24,15 +24,15 @@ make the same log again.
 import math
 from collections.abc import Iterable
 
-from pgf_jax.fleet.allocator import Operators
-from pgf_jax.fleet.clock import Calendar, Order, nanoseconds
 from pgf_jax.fleet.compute import ComputeModel, parse_compute
 from pgf_jax.fleet.config import FleetConfig
-from pgf_jax.fleet.course import Attendance, Course
-from pgf_jax.fleet.ledger import Ledger
-from pgf_jax.fleet.records import Run
+from pgf_jax.fleet.event_calendar import Calendar, EventPriority, nanoseconds
+from pgf_jax.fleet.event_handlers import Attendance, EventHandlers
+from pgf_jax.fleet.operator_pool import OperatorPool
 from pgf_jax.fleet.robots import Result, Robots, Work
 from pgf_jax.fleet.service import LogNormal, ServiceTimes
+from pgf_jax.fleet.task_run import TaskRun
+from pgf_jax.fleet.work_tracker import WorkTracker
 
 
 class Fleet:
@@ -69,18 +69,18 @@ class Fleet:
         self._calendar = Calendar(
             math.inf if config.horizon_s is None else nanoseconds(config.horizon_s)
         )
-        self._ledger = Ledger()
-        self._course = Course(
+        self._work = WorkTracker()
+        self._handlers = EventHandlers(
             config,
             robots,
             self._calendar,
-            self._ledger,
+            self._work,
             service=service or LogNormal(config.seed, config.service_mean_s, config.service_sd_s),
             compute=compute or parse_compute(config.compute, rollouts=config.rollouts),
             attendance=attendance,
         )
-        self.events = self._course.events
-        self.records = self._course.records
+        self.events = self._handlers.events
+        self.records = self._handlers.records
 
     # --- requests and results -------------------------------------------------------------------
 
@@ -98,20 +98,20 @@ class Fleet:
             self._until_ns = max(self._until_ns, until_ns)
         while not self.done:
             due = self._calendar.peek()
-            if self._course.starting and (due is None or due.time_ns > self.now_ns):
-                self._course.start_iterations()
+            if self._handlers.starting and (due is None or due.time_ns > self.now_ns):
+                self._handlers.start_iterations()
             elif due is None:
                 self.done = True
             elif until_ns is not None and until_ns < min(due.time_ns, self._calendar.last_ns):
                 break
             elif due.time_ns > self._calendar.last_ns:
-                self._course.censor(int(self._calendar.last_ns))
+                self._handlers.censor(int(self._calendar.last_ns))
                 self.done = True
-            elif self._ledger.lacks(due.work):
+            elif self._work.is_missing(due.work):
                 break
             else:
-                self._course.happen(self._calendar.pop())
-        return self._ledger.hand_out()
+                self._handlers.handle(self._calendar.pop())
+        return self._work.dispatch()
 
     def deliver(self, work: Work, result: Result) -> None:
         """Hand in the result of a piece of work; nothing happens before the next `advance`.
@@ -124,16 +124,16 @@ class Fleet:
           ValueError: the work was not handed out, or has been delivered before.
           TypeError: the result is not of the type that the work's kind asks for.
         """
-        if not self._ledger.hand_in(work, result) or self.done:
+        if not self._work.deliver(work, result) or self.done:
             return
-        if self._next_ns() <= self._course.runs[work.robot].deadline_ns:
-            self._calendar.schedule(self._next_ns(), Order.SERVICE_END, work.robot, work)
+        if self._next_ns() <= self._handlers.runs[work.robot].deadline_ns:
+            self._calendar.schedule(self._next_ns(), EventPriority.SERVICE_END, work.robot, work)
         else:  # the task's limit has passed, though the fleet has not come to it yet
-            self._ledger.use(work)
+            self._work.consume(work)
 
     def attend(self, operator: int, present: bool) -> None:
         """An operator comes or leaves at the first instant that has not been advanced to."""
-        self._course.attend(Attendance(self._next_ns(), operator, present))
+        self._handlers.attend(Attendance(self._next_ns(), operator, present))
 
     def stop(self) -> None:
         """The horizon is the first instant that has not been advanced to, if it was later."""
@@ -144,22 +144,22 @@ class Fleet:
     @property
     def now_ns(self) -> int:
         """Simulated time, ns."""
-        return self._course.now_ns
+        return self._handlers.now_ns
 
-    def run(self, robot: int) -> Run | None:
+    def run(self, robot: int) -> TaskRun | None:
         """A robot's task as it stands, not to be changed; None before its first."""
-        return self._course.runs.get(robot)
+        return self._handlers.runs.get(robot)
 
     @property
-    def operators(self) -> Operators:
+    def operators(self) -> OperatorPool:
         """Who is there, and busy with whom; not to be changed."""
-        return self._course.operators
+        return self._handlers.operators
 
     @property
     def waits_for_ns(self) -> int | None:
         """Time of the next event, if it needs a result that is not there; else None."""
         due = self._calendar.peek()
-        return due.time_ns if due is not None and self._ledger.lacks(due.work) else None
+        return due.time_ns if due is not None and self._work.is_missing(due.work) else None
 
     def _next_ns(self) -> int:
         return max(self._until_ns, self.now_ns) + 1

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pgf_jax.guidance.operators import View
+from pgf_jax.guidance.view import View
 from pgf_jax.physics import hand
 from pgf_jax.scene.scene import BACK_WALL_X, SIDE_WALL_Y
 

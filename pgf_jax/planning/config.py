@@ -1,9 +1,11 @@
 """Static settings of cost and planner; no JAX here, the command line is built from them."""
 
 import dataclasses
-from typing import Literal
+from typing import Literal, Protocol
 
 from pgf_jax.errors import BadInput
+from pgf_jax.physics.engine import engine_names
+from pgf_jax.settings import check_choice, check_int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,3 +64,41 @@ class Planner:
             raise BadInput(f"random_winner: expected 0 with update stomp (no winner), got {q!r}")
         if self.cost.variant not in ("source", "paper"):
             raise BadInput(f"cost: expected source or paper, got {self.cost.variant!r}")
+
+
+class Planning(Protocol):
+    """Settings of planning that several commands share."""
+
+    @property
+    def engine(self) -> str:
+        """Physics engine."""
+        ...
+
+    @property
+    def physics(self) -> str:
+        """Name of the physics constants."""
+        ...
+
+    @property
+    def cost(self) -> Literal["source", "paper"]:
+        """Cost variant."""
+        ...
+
+    @property
+    def update(self) -> Literal["greedy", "stomp"]:
+        """How an iteration changes the best trajectory."""
+        ...
+
+    @property
+    def lanes(self) -> int | None:
+        """L."""
+        ...
+
+
+def check_planning(config: Planning) -> None:
+    """BadInput unless the engine, physics, cost, update and lanes of `config` exist."""
+    check_choice("engine", config.engine, engine_names())
+    check_choice("physics", config.physics, ["default", "paper"])
+    check_choice("cost", config.cost, ["source", "paper"])
+    check_choice("update", config.update, ["greedy", "stomp"])
+    check_int("lanes", config.lanes, 1)

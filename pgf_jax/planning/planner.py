@@ -359,8 +359,8 @@ def _to_host(tree):
     return jax.tree.map(np.asarray, tree)
 
 
-def _stack(trees: Sequence):
-    return jax.tree.map(lambda *xs: np.stack(xs), *trees)
+def _stack(search_cache: Sequence):
+    return jax.tree.map(lambda *xs: np.stack(xs), *search_cache)
 
 
 def _unstack(tree, count: int) -> list:

@@ -8,8 +8,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from pgf_jax.errors import BadInput
-from pgf_jax.settings import check_fields
-from pgf_jax.study.checks import at_least, whole
+from pgf_jax.settings import check_fields, check_int, check_seconds
 
 SUFFIXES = (".png", ".mp4")
 SMALLEST, LARGEST = 240, 7680  # px: less is not legible, more is not played
@@ -52,14 +51,14 @@ class RenderConfig:
         if self.out.suffix.lower() not in SUFFIXES:
             raise BadInput(f"out: expected a file {' or '.join(SUFFIXES)}, got {str(self.out)!r}")
         for name in ("robot", "task"):
-            whole(name, getattr(self, name), 0)
+            check_int(name, getattr(self, name), 0)
             if self.what != "task" and getattr(self, name):
                 raise BadInput(f"{name}: goes with task only, got {self.what}")
-        whole("fps", self.fps, 1, 120)
+        check_int("fps", self.fps, 1, 120)
         if len(self.size) != 2:
             raise BadInput(f"size: expected a width and a height, got {self.size}")
         for pixels in self.size:
-            whole("size", pixels, SMALLEST, LARGEST)
+            check_int("size", pixels, SMALLEST, LARGEST)
         if not isinstance(self.speed, int | float) or not 0 < self.speed < math.inf:
             raise BadInput(f"speed: expected a positive number, got {self.speed!r}")
         self._check_times()
@@ -70,13 +69,13 @@ class RenderConfig:
         return self.out.suffix.lower() == ".mp4"
 
     def _check_times(self) -> None:
-        at_least("start", self.start, 0.0)
+        check_seconds("start", self.start, 0.0)
         if self.at is not None:
-            at_least("at", self.at, 0.0)
+            check_seconds("at", self.at, 0.0)
             if self.is_film:
                 raise BadInput("at: goes with a picture only (.png), got a film; see start, stop")
         if self.stop is not None:
-            at_least("stop", self.stop, 0.0)
+            check_seconds("stop", self.stop, 0.0)
             if self.stop <= self.start:
                 raise BadInput(f"stop: expected more than start {self.start:g}, got {self.stop:g}")
         if not self.is_film and (self.start or self.stop is not None):

@@ -12,8 +12,8 @@ from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import Engine, World, make_engine
 from pgf_jax.planning.planner import RETREAT_M, RETREAT_S, start_world
 from pgf_jax.planning.types import Push
-from pgf_jax.study.plan_file import Plan
-from pgf_jax.study.snapshot import RobotSnapshot
+from pgf_jax.plans.file import Plan
+from pgf_jax.simulation.snapshot import RobotSnapshot
 
 # A knot is simulated in up to so many parts: between its ends, objects would lag behind the hand.
 _PARTS = 6

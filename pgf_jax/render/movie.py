@@ -11,8 +11,8 @@ from typing import IO
 import numpy as np
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance.tables import write_atomically
-from pgf_jax.study.progress import Progress
+from pgf_jax.files import write_atomically
+from pgf_jax.terminal import Progress
 
 _QUALITY = ("-crf", "18", "-movflags", "+faststart")  # fine lines and text; begins at once on pages
 

@@ -7,7 +7,7 @@ from pgf_jax.planning.types import Status
 from pgf_jax.render.chart import CURVE, FEASIBLE, INPUT, draw_costs
 from pgf_jax.render.paint import CARD, INK, MUTED, RULE, Box, Canvas, Point, text_width
 from pgf_jax.render.view import ASPECT, View
-from pgf_jax.study.snapshot import RobotSnapshot
+from pgf_jax.simulation.snapshot import RobotSnapshot
 
 PLANNING, PUSH, WAITING = "#3b6fb6", "#7a55b5", "#b97a00"
 SERVED, EXECUTING, DONE = INPUT, "#16808c", "#8a939f"

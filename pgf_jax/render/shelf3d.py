@@ -22,7 +22,7 @@ from pgf_jax.render.top import PUSH_COLOR
 from pgf_jax.render.view import ASPECT
 from pgf_jax.scene.draw import CORRIDOR_OBJECT_COLOR, GOAL_COLOR, ROBOT_COLOR
 from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, HEIGHT, RADIUS, SIDE_WALL_Y
-from pgf_jax.study.snapshot import RobotSnapshot
+from pgf_jax.simulation.snapshot import RobotSnapshot
 
 _SIDE, _WALL, _BOARD = 0.17, 0.012, 0.02  # height of the walls, thickness of walls and board, m
 _HAND_Z = 0.060  # of the hand's middle plane, m

@@ -9,7 +9,7 @@ from pgf_jax.planning.types import Push
 from pgf_jax.render.paint import Canvas, Point
 from pgf_jax.scene.draw import CORRIDOR_OBJECT_COLOR, GOAL_COLOR, OBJECT_COLOR, ROBOT_COLOR
 from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
-from pgf_jax.study.snapshot import RobotSnapshot
+from pgf_jax.simulation.snapshot import RobotSnapshot
 
 # What is always in the picture, metres: the shelf, and the hand as a task begins.
 LOW_X, HIGH_X, HALF_WIDTH = -0.08, 0.615, 0.425

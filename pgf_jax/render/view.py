@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pgf_jax.study.snapshot import RobotSnapshot
+from pgf_jax.simulation.snapshot import RobotSnapshot
 
 ASPECT = 1.2  # width to height at which the views fill their pictures best
 

@@ -5,7 +5,7 @@ import operator
 
 import numpy as np
 
-from pgf_jax.errors import BadInput, shown
+from pgf_jax.errors import BadInput, short_repr
 
 # The shelf and its objects, as measured on the published scenes. Metres; x into the shelf, y left.
 FRONT_X = 0.20  # the table's front edge: a centre before it would stand on air
@@ -41,13 +41,13 @@ class Scene:
         except (TypeError, ValueError, OverflowError):  # of a whole number of hundreds of digits
             raise BadInput(
                 f"scene {self.name}: objects must be numbers [N, 3] (x, y, radius), "
-                f"got {shown(self.objects)}"
+                f"got {short_repr(self.objects)}"
             ) from None
         try:
             goal = operator.index(self.goal)
         except TypeError:
             raise BadInput(
-                f"scene {self.name}: goal index must be a whole number, got {shown(self.goal)}"
+                f"scene {self.name}: goal index must be a whole number, got {short_repr(self.goal)}"
             ) from None
         objects.setflags(write=False)
         object.__setattr__(self, "goal", goal)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pgf_jax.console.desk import CLEARANCE, REACH, STEP, Desk, Word, target_problem
-from pgf_jax.console.live import Asked
-from pgf_jax.guidance.operators import View
+from pgf_jax.console.input_panel import CLEARANCE, REACH, STEP, Feedback, InputPanel, target_problem
+from pgf_jax.console.live_operator import InputRequest
+from pgf_jax.guidance.view import View
 from pgf_jax.planning.types import UNANSWERED, Push
 from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
 
@@ -42,37 +42,37 @@ class Service:
 
     def __init__(self, robot: int = ROBOT, request: int = 0, **changes) -> None:
         self.given: list = []
-        self.asked = Asked(robot, 0, request, view(**changes), self.given.append)
+        self.asked = InputRequest(robot, 0, request, view(**changes), self.given.append)
 
 
-def seated(service: Service | None = None) -> Desk:
-    desk = Desk()
-    assert desk.take(ME).ok
+def seated(service: Service | None = None) -> InputPanel:
+    panel = InputPanel()
+    assert panel.take(ME).ok
     if service is not None:
-        desk.open(service.asked)
-    return desk
+        panel.open(service.asked)
+    return panel
 
 
-def state(desk: Desk) -> tuple:
-    return desk.operator, desk.asked, desk.object, desk.target, desk.problem
+def state(panel: InputPanel) -> tuple:
+    return panel.operator, panel.asked, panel.object, panel.target, panel.problem
 
 
-def refused(desk: Desk, do, words: str) -> None:
+def refused(panel: InputPanel, do, words: str) -> None:
     """What is refused says why, in a line, and changes nothing."""
-    before = state(desk)
+    before = state(panel)
     word = do()
     assert (word.text, word.ok, word.answered) == (words, False, False)
-    assert state(desk) == before
+    assert state(panel) == before
 
 
-def acts(desk: Desk, client: int) -> dict:
+def acts(panel: InputPanel, client: int) -> dict:
     return {
-        "click": lambda: desk.click(client, ROBOT, *OBJECTS[0]),
-        "next": lambda: desk.next_object(client),
-        "nudge": lambda: desk.nudge(client, 1, 0),
-        "undo": lambda: desk.undo(client),
-        "confirm": lambda: desk.confirm(client),
-        "go on": lambda: desk.go_on(client),
+        "click": lambda: panel.click(client, ROBOT, *OBJECTS[0]),
+        "next": lambda: panel.next_object(client),
+        "nudge": lambda: panel.nudge(client, 1, 0),
+        "undo": lambda: panel.undo(client),
+        "confirm": lambda: panel.confirm(client),
+        "go on": lambda: panel.go_on(client),
     }
 
 
@@ -80,53 +80,53 @@ def acts(desk: Desk, client: int) -> dict:
 
 
 def test_one_operates_and_others_watch():
-    desk = Desk()
-    assert desk.take(ME).text == "You operate."
-    assert desk.take(ME).ok  # already
-    refused(desk, lambda: desk.take(OTHER), "Somebody else operates; you can watch.")
-    assert desk.operator == ME
-    assert not desk.leave(OTHER)
-    assert desk.operator == ME
-    assert desk.leave(ME)
-    assert desk.operator is None
-    assert not desk.leave(ME)
-    assert desk.take(OTHER).ok
-    refused(desk, lambda: desk.take(ME), "Somebody else operates; you can watch.")
+    panel = InputPanel()
+    assert panel.take(ME).text == "You operate."
+    assert panel.take(ME).ok  # already
+    refused(panel, lambda: panel.take(OTHER), "Somebody else operates; you can watch.")
+    assert panel.operator == ME
+    assert not panel.leave(OTHER)
+    assert panel.operator == ME
+    assert panel.leave(ME)
+    assert panel.operator is None
+    assert not panel.leave(ME)
+    assert panel.take(OTHER).ok
+    refused(panel, lambda: panel.take(ME), "Somebody else operates; you can watch.")
 
 
 def test_a_client_of_number_0_is_somebody():
-    desk = Desk()
-    assert desk.take(0).ok
-    refused(desk, lambda: desk.take(ME), "Somebody else operates; you can watch.")
-    assert desk.leave(0)
+    panel = InputPanel()
+    assert panel.take(0).ok
+    refused(panel, lambda: panel.take(ME), "Somebody else operates; you can watch.")
+    assert panel.leave(0)
 
 
-@pytest.mark.parametrize("act", acts(Desk(), 0))
+@pytest.mark.parametrize("act", acts(InputPanel(), 0))
 def test_acts_that_are_not_ones_to_do(act):
     service = Service()
-    desk = Desk()
-    refused(desk, acts(desk, ME)[act], "Nobody operates; you watch.")
-    desk.open(service.asked)
-    refused(desk, acts(desk, ME)[act], "Nobody operates; you watch.")
-    desk.take(ME)
-    desk.click(ME, ROBOT, *OBJECTS[1])
-    desk.click(ME, ROBOT, 0.35, 0.2)
-    refused(desk, acts(desk, OTHER)[act], "Somebody else operates; you watch.")
-    desk.close()
-    assert state(desk) == (ME, None, None, None, "")
-    refused(desk, acts(desk, ME)[act], "No robot is being served.")
+    panel = InputPanel()
+    refused(panel, acts(panel, ME)[act], "Nobody operates; you watch.")
+    panel.open(service.asked)
+    refused(panel, acts(panel, ME)[act], "Nobody operates; you watch.")
+    panel.take(ME)
+    panel.click(ME, ROBOT, *OBJECTS[1])
+    panel.click(ME, ROBOT, 0.35, 0.2)
+    refused(panel, acts(panel, OTHER)[act], "Somebody else operates; you watch.")
+    panel.close()
+    assert state(panel) == (ME, None, None, None, "")
+    refused(panel, acts(panel, ME)[act], "No robot is being served.")
     assert service.given == []
 
 
 def test_what_was_picked_is_kept_for_who_comes_next():
     service = Service()
-    desk = seated(service)
-    desk.click(ME, ROBOT, *OBJECTS[0])
-    desk.click(ME, ROBOT, 0.3, 0.2)
-    desk.leave(ME)
-    assert (desk.object, desk.target) == (0, (0.3, 0.2))
-    desk.take(OTHER)
-    assert desk.confirm(OTHER).answered
+    panel = seated(service)
+    panel.click(ME, ROBOT, *OBJECTS[0])
+    panel.click(ME, ROBOT, 0.3, 0.2)
+    panel.leave(ME)
+    assert (panel.object, panel.target) == (0, (0.3, 0.2))
+    panel.take(OTHER)
+    assert panel.confirm(OTHER).answered
     assert service.given == [Push(0, 0.3, 0.2)]
 
 
@@ -135,76 +135,76 @@ def test_what_was_picked_is_kept_for_who_comes_next():
 
 def test_a_push_is_picked_by_two_clicks_and_confirmed():
     service = Service()
-    desk = seated(service)
-    word = desk.click(ME, ROBOT, 0.41, 0.01)
+    panel = seated(service)
+    word = panel.click(ME, ROBOT, 0.41, 0.01)
     assert (word.text, word.ok, word.answered) == (
         "Object 1: now click where it should come to.", True, False
     )  # fmt: skip
-    assert (desk.object, desk.target) == (0, None)
-    word = desk.click(ME, ROBOT, 0.35, 0.2)
+    assert (panel.object, panel.target) == (0, None)
+    word = panel.click(ME, ROBOT, 0.35, 0.2)
     assert word.text == "Object 1 to here? Confirm (Enter), or click another place."
-    assert desk.target == (0.35, 0.2)
-    assert desk.click(ME, ROBOT, 0.3, 0.15).ok  # another place
+    assert panel.target == (0.35, 0.2)
+    assert panel.click(ME, ROBOT, 0.3, 0.15).ok  # another place
     assert service.given == []
-    word = desk.confirm(ME)
+    word = panel.confirm(ME)
     assert (word.text, word.ok, word.answered) == ("Object 1 to (0.300, 0.150) m.", True, True)
     assert service.given == [Push(0, 0.3, 0.15)]
     assert all(type(value) is float for value in (service.given[0].x, service.given[0].y))
-    assert state(desk) == (ME, None, None, None, "")
-    refused(desk, lambda: desk.confirm(ME), "No robot is being served.")
+    assert state(panel) == (ME, None, None, None, "")
+    refused(panel, lambda: panel.confirm(ME), "No robot is being served.")
     assert len(service.given) == 1
 
 
 def test_going_on_is_said_at_any_time():
     for clicks in ([], [OBJECTS[0]], [OBJECTS[0], (0.3, 0.2)]):
         service = Service()
-        desk = seated(service)
+        panel = seated(service)
         for place in clicks:
-            assert desk.click(ME, ROBOT, *place).ok
-        word = desk.go_on(ME)
+            assert panel.click(ME, ROBOT, *place).ok
+        word = panel.go_on(ME)
         assert (word.text, word.ok, word.answered) == ("Go on reaching.", True, True)
         assert service.given == [None]
-        assert state(desk) == (ME, None, None, None, "")
+        assert state(panel) == (ME, None, None, None, "")
 
 
 def test_nothing_is_confirmed_too_early():
-    desk = seated(Service())
-    refused(desk, lambda: desk.confirm(ME), "Pick an object first.")
-    desk.click(ME, ROBOT, *OBJECTS[0])
-    refused(desk, lambda: desk.confirm(ME), "Pick a place for the object first.")
+    panel = seated(Service())
+    refused(panel, lambda: panel.confirm(ME), "Pick an object first.")
+    panel.click(ME, ROBOT, *OBJECTS[0])
+    refused(panel, lambda: panel.confirm(ME), "Pick a place for the object first.")
 
 
 def test_clicks_that_mean_nothing():
-    desk = seated(Service())
+    panel = seated(Service())
     beside = "There is no object there: click an object first."
-    refused(desk, lambda: desk.click(ME, ROBOT, 0.35, 0.3), beside)
-    refused(desk, lambda: desk.click(ME, ROBOT, -7.0, 0.0), beside)
+    refused(panel, lambda: panel.click(ME, ROBOT, 0.35, 0.3), beside)
+    refused(panel, lambda: panel.click(ME, ROBOT, -7.0, 0.0), beside)
     for place in ((math.nan, 0.0), (0.4, math.inf), (-math.inf, math.nan)):
-        refused(desk, lambda place=place: desk.click(ME, ROBOT, *place), "That is no place.")
+        refused(panel, lambda place=place: panel.click(ME, ROBOT, *place), "That is no place.")
     for _ in range(2):  # before an object is picked, and after
-        refused(desk, lambda: desk.click(ME, None, *OBJECTS[0]), "That is no shelf.")
+        refused(panel, lambda: panel.click(ME, None, *OBJECTS[0]), "That is no shelf.")
         refused(
-            desk, lambda: desk.click(ME, 0, *OBJECTS[0]), "Robot 3 asks, not robot 0."
+            panel, lambda: panel.click(ME, 0, *OBJECTS[0]), "Robot 3 asks, not robot 0."
         )  # fmt: skip
-        desk.click(ME, ROBOT, *OBJECTS[0])
-    refused(desk, lambda: desk.click(ME, ROBOT, math.nan, 0.0), "That is no place.")
+        panel.click(ME, ROBOT, *OBJECTS[0])
+    refused(panel, lambda: panel.click(ME, ROBOT, math.nan, 0.0), "That is no place.")
 
 
 def test_a_click_means_the_nearest_object_a_little_beside_it_too():
     near = REACH * RADIUS
-    desk = seated(Service())
-    assert desk.click(ME, ROBOT, OBJECTS[2][0] - 0.999 * near, OBJECTS[2][1]).ok
-    assert desk.object == 2
-    desk.undo(ME)
+    panel = seated(Service())
+    assert panel.click(ME, ROBOT, OBJECTS[2][0] - 0.999 * near, OBJECTS[2][1]).ok
+    assert panel.object == 2
+    panel.undo(ME)
     beside = "There is no object there: click an object first."
-    refused(desk, lambda: desk.click(ME, ROBOT, OBJECTS[2][0] - 1.001 * near, -0.2), beside)
+    refused(panel, lambda: panel.click(ME, ROBOT, OBJECTS[2][0] - 1.001 * near, -0.2), beside)
     # Two objects that touch: between them it is the nearer one.
-    desk = seated(Service(objects=((0.4, 0.0), (0.4, 0.06), (0.2, 0.0)), goal=2))
-    desk.click(ME, ROBOT, 0.4, 0.0299)
-    assert desk.object == 0
-    desk.undo(ME)
-    desk.click(ME, ROBOT, 0.4, 0.0301)
-    assert desk.object == 1
+    panel = seated(Service(objects=((0.4, 0.0), (0.4, 0.06), (0.2, 0.0)), goal=2))
+    panel.click(ME, ROBOT, 0.4, 0.0299)
+    assert panel.object == 0
+    panel.undo(ME)
+    panel.click(ME, ROBOT, 0.4, 0.0301)
+    assert panel.object == 1
 
 
 WALL = "The object would stand in the wall there."
@@ -236,113 +236,113 @@ OUTSIDE = "That is outside the shelf."
     ],
 )
 def test_places_that_can_be_meant_and_others(x, y, words):
-    desk = seated(Service())
-    desk.click(ME, ROBOT, *OBJECTS[0])
+    panel = seated(Service())
+    panel.click(ME, ROBOT, *OBJECTS[0])
     assert target_problem(view(), 0, x, y) == words
     if words:
-        refused(desk, lambda: desk.click(ME, ROBOT, x, y), words)
-        desk.click(ME, ROBOT, 0.3, 0.2)
-        refused(desk, lambda: desk.click(ME, ROBOT, x, y), words)  # the earlier place stays
-        assert desk.target == (0.3, 0.2)
+        refused(panel, lambda: panel.click(ME, ROBOT, x, y), words)
+        panel.click(ME, ROBOT, 0.3, 0.2)
+        refused(panel, lambda: panel.click(ME, ROBOT, x, y), words)  # the earlier place stays
+        assert panel.target == (0.3, 0.2)
     else:
-        assert desk.click(ME, ROBOT, x, y).ok
-        assert desk.target == (x, y)
-        assert desk.confirm(ME).answered
+        assert panel.click(ME, ROBOT, x, y).ok
+        assert panel.target == (x, y)
+        assert panel.confirm(ME).answered
 
 
 def test_a_shelf_of_one_object():
     service = Service(objects=((0.4, 0.0),), goal=0)
-    desk = seated(service)
-    desk.next_object(ME)
-    assert desk.click(ME, ROBOT, 0.4, 0.0).ok
-    desk.next_object(ME)
-    assert desk.object == 0 and desk.target is None
-    desk.nudge(ME, 0, 1)
-    assert desk.confirm(ME).answered
+    panel = seated(service)
+    panel.next_object(ME)
+    assert panel.click(ME, ROBOT, 0.4, 0.0).ok
+    panel.next_object(ME)
+    assert panel.object == 0 and panel.target is None
+    panel.nudge(ME, 0, 1)
+    assert panel.confirm(ME).answered
     assert service.given == [Push(0, 0.4, STEP)]
 
 
 def test_undo_takes_back_the_place_then_the_object():
-    desk = seated(Service())
-    refused(desk, lambda: desk.undo(ME), "There is nothing to undo.")
-    desk.click(ME, ROBOT, *OBJECTS[0])
-    desk.click(ME, ROBOT, 0.3, 0.2)
-    desk.click(ME, ROBOT, 0.3, 0.25)
-    assert desk.undo(ME).text == "Place taken back: click where the object should come to."
-    assert (desk.object, desk.target) == (0, None)
-    assert desk.undo(ME).text == "Object taken back: click an object."
-    assert (desk.object, desk.target) == (None, None)
-    refused(desk, lambda: desk.undo(ME), "There is nothing to undo.")
-    assert desk.click(ME, ROBOT, *OBJECTS[1]).text.startswith("Object 2")
+    panel = seated(Service())
+    refused(panel, lambda: panel.undo(ME), "There is nothing to undo.")
+    panel.click(ME, ROBOT, *OBJECTS[0])
+    panel.click(ME, ROBOT, 0.3, 0.2)
+    panel.click(ME, ROBOT, 0.3, 0.25)
+    assert panel.undo(ME).text == "Place taken back: click where the object should come to."
+    assert (panel.object, panel.target) == (0, None)
+    assert panel.undo(ME).text == "Object taken back: click an object."
+    assert (panel.object, panel.target) == (None, None)
+    refused(panel, lambda: panel.undo(ME), "There is nothing to undo.")
+    assert panel.click(ME, ROBOT, *OBJECTS[1]).text.startswith("Object 2")
     # A place with a problem is taken back with it.
-    assert not desk.nudge(ME, 5, 15).ok
-    assert desk.target is not None and desk.problem == "Object 4 stands there."
-    desk.undo(ME)
-    assert (desk.object, desk.target, desk.problem) == (1, None, "")
+    assert not panel.nudge(ME, 5, 15).ok
+    assert panel.target is not None and panel.problem == "Object 4 stands there."
+    panel.undo(ME)
+    assert (panel.object, panel.target, panel.problem) == (1, None, "")
 
 
 # -- by keyboard -----------------------------------------------------------------------------------
 
 
 def test_objects_come_by_their_distance_from_the_hand_the_goal_last():
-    desk = seated(Service())
+    panel = seated(Service())
     seen = []
     for _ in range(2 * len(OBJECTS)):
-        word = desk.next_object(ME)
-        assert word.ok and word.text.startswith(f"Object {desk.object + 1}:")  # pyright: ignore[reportOptionalOperand]
-        seen.append(desk.object)
+        word = panel.next_object(ME)
+        assert word.ok and word.text.startswith(f"Object {panel.object + 1}:")  # pyright: ignore[reportOptionalOperand]
+        seen.append(panel.object)
     distances = [math.dist(OBJECTS[i], (0.10, 0.0)) for i in FROM_THE_HAND[:-1]]
     assert distances == sorted(distances)
     assert seen == 2 * FROM_THE_HAND
     # It goes on from an object that was clicked, and a place that was picked is forgotten.
-    desk.undo(ME)
-    desk.click(ME, ROBOT, *OBJECTS[1])
-    desk.click(ME, ROBOT, 0.3, 0.2)
-    desk.next_object(ME)
-    assert (desk.object, desk.target) == (FROM_THE_HAND[FROM_THE_HAND.index(1) + 1], None)
+    panel.undo(ME)
+    panel.click(ME, ROBOT, *OBJECTS[1])
+    panel.click(ME, ROBOT, 0.3, 0.2)
+    panel.next_object(ME)
+    assert (panel.object, panel.target) == (FROM_THE_HAND[FROM_THE_HAND.index(1) + 1], None)
 
 
 def test_a_place_is_reached_by_steps():
     service = Service()
-    desk = seated(service)
-    refused(desk, lambda: desk.nudge(ME, 1, 0), "Pick an object first (Tab, or click it).")
-    desk.click(ME, ROBOT, *OBJECTS[0])
-    assert desk.nudge(ME, -1, 0).text == "Confirm with Enter."
-    assert desk.target == pytest.approx((0.39, 0.0))
-    desk.nudge(ME, 0, -3)
-    assert desk.target == pytest.approx((0.39, -0.03))
-    desk.click(ME, ROBOT, 0.3, 0.2)
-    desk.nudge(ME, 1, 1)  # on from a place that was clicked
-    assert desk.target == pytest.approx((0.31, 0.21))
-    assert desk.confirm(ME).answered
+    panel = seated(service)
+    refused(panel, lambda: panel.nudge(ME, 1, 0), "Pick an object first (Tab, or click it).")
+    panel.click(ME, ROBOT, *OBJECTS[0])
+    assert panel.nudge(ME, -1, 0).text == "Confirm with Enter."
+    assert panel.target == pytest.approx((0.39, 0.0))
+    panel.nudge(ME, 0, -3)
+    assert panel.target == pytest.approx((0.39, -0.03))
+    panel.click(ME, ROBOT, 0.3, 0.2)
+    panel.nudge(ME, 1, 1)  # on from a place that was clicked
+    assert panel.target == pytest.approx((0.31, 0.21))
+    assert panel.confirm(ME).answered
     (push,) = service.given
     assert (push.object, push.x, push.y) == (0, pytest.approx(0.31), pytest.approx(0.21))
 
 
 def test_steps_may_cross_what_no_push_can_end_in():
-    desk = seated(Service())
-    desk.click(ME, ROBOT, *OBJECTS[0])
-    desk.nudge(ME, 5, 0)
+    panel = seated(Service())
+    panel.click(ME, ROBOT, *OBJECTS[0])
+    panel.nudge(ME, 5, 0)
     problems = []
     for _ in range(20):
-        word = desk.nudge(ME, 0, 1)
-        problems.append(desk.problem)
-        assert word.ok == (not desk.problem) and word.text == (
-            desk.problem or "Confirm with Enter."
+        word = panel.nudge(ME, 0, 1)
+        problems.append(panel.problem)
+        assert word.ok == (not panel.problem) and word.text == (
+            panel.problem or "Confirm with Enter."
         )
-        if desk.problem:
-            refused(desk, lambda: desk.confirm(ME), desk.problem)
+        if panel.problem:
+            refused(panel, lambda: panel.confirm(ME), panel.problem)
     assert problems[9] == "Object 2 stands there."
     assert problems[0] == problems[-1] == ""
-    assert desk.target == pytest.approx((0.45, 0.20))
+    assert panel.target == pytest.approx((0.45, 0.20))
     # Beyond the walls it does not go at all.
     for _ in range(40):
-        desk.nudge(ME, 0, 1)
-    assert desk.target == pytest.approx((0.45, 0.37))
-    refused(desk, lambda: desk.nudge(ME, 0, 1), WALL)
-    refused(desk, lambda: desk.nudge(ME, 0, 9), OUTSIDE)
-    refused(desk, lambda: desk.nudge(ME, -1000, 0), OUTSIDE)
-    assert desk.confirm(ME).answered
+        panel.nudge(ME, 0, 1)
+    assert panel.target == pytest.approx((0.45, 0.37))
+    refused(panel, lambda: panel.nudge(ME, 0, 1), WALL)
+    refused(panel, lambda: panel.nudge(ME, 0, 9), OUTSIDE)
+    refused(panel, lambda: panel.nudge(ME, -1000, 0), OUTSIDE)
+    assert panel.confirm(ME).answered
 
 
 # -- services --------------------------------------------------------------------------------------
@@ -350,38 +350,38 @@ def test_steps_may_cross_what_no_push_can_end_in():
 
 def test_a_new_service_begins_with_nothing_picked():
     first, second = Service(), Service(robot=5, request=2)
-    desk = seated(first)
-    desk.click(ME, ROBOT, *OBJECTS[0])
-    desk.click(ME, ROBOT, 0.3, 0.2)
-    desk.open(second.asked)
-    assert state(desk) == (ME, second.asked, None, None, "")
-    refused(desk, lambda: desk.click(ME, ROBOT, 0.3, 0.2), "Robot 5 asks, not robot 3.")
-    desk.close()
-    assert state(desk) == (ME, None, None, None, "")
+    panel = seated(first)
+    panel.click(ME, ROBOT, *OBJECTS[0])
+    panel.click(ME, ROBOT, 0.3, 0.2)
+    panel.open(second.asked)
+    assert state(panel) == (ME, second.asked, None, None, "")
+    refused(panel, lambda: panel.click(ME, ROBOT, 0.3, 0.2), "Robot 5 asks, not robot 3.")
+    panel.close()
+    assert state(panel) == (ME, None, None, None, "")
     assert first.given == second.given == []
 
 
 def test_no_answer_is_given_for_an_operator_who_gives_none():
     service = Service()
-    desk = seated(service)
-    desk.click(ME, ROBOT, *OBJECTS[0])
-    desk.answer(UNANSWERED)
+    panel = seated(service)
+    panel.click(ME, ROBOT, *OBJECTS[0])
+    panel.answer(UNANSWERED)
     assert service.given == [UNANSWERED]
-    assert state(desk) == (ME, None, None, None, "")
+    assert state(panel) == (ME, None, None, None, "")
 
 
 def test_the_desk_is_clear_when_an_answer_has_its_effect():
     """The fleet may go on at once, and ask for the next robot from within the answer."""
-    desk = seated()
+    panel = seated()
     second = Service(robot=0)
 
     def answer(given):
-        assert desk.asked is None
-        desk.open(second.asked)
+        assert panel.asked is None
+        panel.open(second.asked)
 
-    desk.open(Asked(ROBOT, 0, 0, view(), answer))
-    assert desk.go_on(ME).answered
-    assert desk.asked is second.asked
+    panel.open(InputRequest(ROBOT, 0, 0, view(), answer))
+    assert panel.go_on(ME).answered
+    assert panel.asked is second.asked
 
 
 PLACE = st.one_of(
@@ -415,30 +415,30 @@ USUAL = st.sampled_from(
 )
 
 
-def do(desk: Desk, services: list[Service], name: str, client: int, *more):
+def do(panel: InputPanel, services: list[Service], name: str, client: int, *more):
     match name:
         case "open":
             services.append(Service(request=len(services)))
-            return desk.open(services[-1].asked)
+            return panel.open(services[-1].asked)
         case "close":
-            return desk.close()
+            return panel.close()
         case "take":
-            return desk.take(client)
+            return panel.take(client)
         case "leave":
-            return desk.leave(client)
+            return panel.leave(client)
         case "click":
             robot, place = more
-            return desk.click(client, robot, *place)
+            return panel.click(client, robot, *place)
         case "nudge":
-            return desk.nudge(client, *more)
+            return panel.nudge(client, *more)
         case "next":
-            return desk.next_object(client)
+            return panel.next_object(client)
         case "undo":
-            return desk.undo(client)
+            return panel.undo(client)
         case "confirm":
-            return desk.confirm(client)
+            return panel.confirm(client)
         case _:
-            return desk.go_on(client)
+            return panel.go_on(client)
 
 
 @settings(max_examples=300, deadline=None)
@@ -447,33 +447,33 @@ def do(desk: Desk, services: list[Service], name: str, client: int, *more):
     [("take", ME), ("open", None), ("next", ME), ("nudge", ME, 0, 5), ("confirm", ME), ("undo", ME)]
 )
 def test_whatever_clients_do(todo):
-    desk, services = Desk(), []
+    panel, services = InputPanel(), []
     for name, client, *more in todo:
-        before, operator = state(desk), desk.operator
+        before, operator = state(panel), panel.operator
         counts = [len(service.given) for service in services]
-        word = do(desk, services, name, client, *more)
-        after = state(desk)
+        word = do(panel, services, name, client, *more)
+        after = state(panel)
         intruder = client is not None and client != operator
         if intruder and (name != "take" or operator is not None):
             assert after == before
             assert [len(service.given) for service in services] == counts
-        if isinstance(word, Word):
+        if isinstance(word, Feedback):
             assert word.text and "\n" not in word.text
             if not word.ok:
                 assert not word.answered
                 # A place on its way through an object moves all the same.
-                crossing = name == "nudge" and desk.problem == word.text
+                crossing = name == "nudge" and panel.problem == word.text
                 assert after[:3] == before[:3] if crossing else after == before
             assert word.answered == (sum(len(s.given) for s in services) > sum(counts))
         # Each service is answered once at most, and then it is over.
         assert all(len(service.given) <= 1 for service in services)
-        open_ = [service for service in services if service.asked is desk.asked]
-        assert len(open_) == (desk.asked is not None)
+        open_ = [service for service in services if service.asked is panel.asked]
+        assert len(open_) == (panel.asked is not None)
         assert all(not service.given for service in open_)
-        if desk.asked is None:
-            assert (desk.object, desk.target, desk.problem) == (None, None, "")
-        if desk.target is not None:
-            assert desk.object is not None
+        if panel.asked is None:
+            assert (panel.object, panel.target, panel.problem) == (None, None, "")
+        if panel.target is not None:
+            assert panel.object is not None
     for service in services:
         for push in service.given:
             if push is not None:

@@ -13,7 +13,7 @@ from websockets.http11 import Request
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
-from pgf_jax.console.door import COOKIE, Bucket, Door
+from pgf_jax.console.access_control import COOKIE, AccessControl, Bucket
 
 
 def request(path="/", **headers):
@@ -24,50 +24,50 @@ def request(path="/", **headers):
 
 
 def test_without_a_token_only_names_of_this_computer_pass():
-    door = Door(needs_token=False)
-    assert door.token is None
+    access = AccessControl(needs_token=False)
+    assert access.token is None
     for host in ("127.0.0.1:8080", "localhost:8080", "[::1]:8080"):
-        assert door.check("x", request(Host=host)) is None
+        assert access.check("x", request(Host=host)) is None
     for host in ("evil.example:8080", "", "[:::", "192.168.0.3"):
-        refusal = door.check("x", request(Host=host))
+        refusal = access.check("x", request(Host=host))
         assert refusal is not None and refusal.status_code == 403
 
 
 @pytest.mark.parametrize("needs_token", [False, True])
 def test_pages_of_others_cannot_connect(needs_token):
-    door = Door(needs_token=needs_token)
-    own = {} if door.token is None else {"Cookie": f"{COOKIE}={door.token}"}
-    assert door.check("x", request(Origin="http://127.0.0.1:8080", **own)) is None
+    access = AccessControl(needs_token=needs_token)
+    own = {} if access.token is None else {"Cookie": f"{COOKIE}={access.token}"}
+    assert access.check("x", request(Origin="http://127.0.0.1:8080", **own)) is None
     for origin in ("http://evil.example", "null", "http://127.0.0.1:9999"):
-        refusal = door.check("x", request(Origin=origin, **own))
+        refusal = access.check("x", request(Origin=origin, **own))
         assert refusal is not None and refusal.status_code == 403
 
 
 def test_a_token_is_asked_for_once_and_checked_every_time(caplog):
-    door = Door(needs_token=True)
-    assert door.token is not None and len(door.token) >= 24
-    first = door.check("x", request(f"/?token={door.token}", Host="lab:8080"))
+    access = AccessControl(needs_token=True)
+    assert access.token is not None and len(access.token) >= 24
+    first = access.check("x", request(f"/?token={access.token}", Host="lab:8080"))
     assert first is not None and first.status_code == 303
     assert first.headers["Location"] == "/"
     cookie = first.headers["Set-Cookie"]
     assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
-    assert door.check("x", request(Host="lab:8080", Cookie=cookie.split(";")[0])) is None
+    assert access.check("x", request(Host="lab:8080", Cookie=cookie.split(";")[0])) is None
     wrong = [
         request(),
-        request(f"/?token={door.token}x"),
+        request(f"/?token={access.token}x"),
         request("/?token="),
         request("/?token=%ff%00"),
-        request(Cookie=f"{COOKIE}={door.token[:-1]}"),
+        request(Cookie=f"{COOKIE}={access.token[:-1]}"),
         request(Cookie=f"{COOKIE}="),
         request(Cookie=";;=;"),
-        request(Cookie=f"other={door.token}"),
+        request(Cookie=f"other={access.token}"),
     ]
     for asked in wrong:
-        refusal = door.check("10.0.0.9", asked)
+        refusal = access.check("10.0.0.9", asked)
         assert refusal is not None and refusal.status_code == 403
     assert caplog.text.count("connection from 10.0.0.9 refused") == len(wrong)
-    assert door.token not in caplog.text
-    assert Door(needs_token=True).token != door.token
+    assert access.token not in caplog.text
+    assert AccessControl(needs_token=True).token != access.token
 
 
 def test_a_bucket_allows_bursts_and_then_its_rate():

@@ -12,17 +12,16 @@ from session_toys import ME, OTHER, Person, toy
 import pgf_jax
 from pgf_jax.console import session as session_module
 from pgf_jax.console.config import ConsoleConfig
-from pgf_jax.console.desk import Word
+from pgf_jax.console.input_panel import Feedback
 from pgf_jax.console.session import Session, WallClock
-from pgf_jax.console.setting import Setting
+from pgf_jax.console.session_spec import SessionSpec
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Event, EventKind
 from pgf_jax.planning.types import Push
-from pgf_jax.study import results
-from pgf_jax.study.event_log import JOURNAL, TABLE, line, read_log
-from pgf_jax.study.play import replay
-from pgf_jax.study.recording import compare
-from pgf_jax.study.sweep_config import SweepConfig
+from pgf_jax.sweeping.config import SweepConfig
+from pgf_jax.sweeping.replay import compare, replay
+from pgf_jax.tables import results
+from pgf_jax.tables.event_log import JOURNAL, TABLE, line, read_log
 
 S = 10**9
 ENDS = ("push", "go_on")
@@ -134,13 +133,13 @@ def test_the_clock_starts_when_an_operator_has_come(tmp_path):
         person.wait(lambda: len(person.frames) >= 2)
         assert not any(frame.running for frame in person.frames)
         assert person.frames[-1].fleet.time_ns == 0
-        word = person.act(lambda desk: desk.go_on(ME))
+        word = person.act(lambda panel: panel.go_on(ME))
         assert (word.text, word.ok) == ("Nobody operates; you watch.", False)
         assert person.session.play.fleet.now_ns == 0
         person.take()
         person.wait(lambda: person.frames[-1].running)
         assert not person.take(OTHER).ok
-        assert person.act(lambda desk: desk.go_on(OTHER), client=OTHER).ok is False
+        assert person.act(lambda panel: panel.go_on(OTHER), client=OTHER).ok is False
     assert person.count(EventKind.OPERATOR_AWAY) == 0
 
 
@@ -152,13 +151,13 @@ def test_one_who_gives_no_answer_is_away_until_they_act(tmp_path):
         (end,) = [event for event in person.events if event.kind is EventKind.SERVICE_END]
         assert end.outcome == "unanswered"
         assert end.time_ns - grant.time_ns >= 5 * S
-        assert person.session.desk.asked is None
-        word = person.act(lambda desk: desk.go_on(ME))
+        assert person.session.panel.asked is None
+        word = person.act(lambda panel: panel.go_on(ME))
         assert (word.text, word.ok) == ("No robot is being served.", False)
         person.wait_for(EventKind.OPERATOR_BACK)
         # Whoever watches brings nobody back.
         away = person.count(EventKind.OPERATOR_AWAY)
-        person.act(lambda desk: desk.undo(OTHER), client=OTHER)
+        person.act(lambda panel: panel.undo(OTHER), client=OTHER)
         assert person.count(EventKind.OPERATOR_BACK) == away
     kinds = [event.kind for event in person.events]
     assert kinds.index(EventKind.OPERATOR_AWAY) < kinds.index(EventKind.OPERATOR_BACK)
@@ -169,12 +168,12 @@ def test_one_who_gives_no_answer_is_away_until_they_act(tmp_path):
 def test_an_operator_who_leaves_and_one_who_comes(tmp_path):
     with Person(toy(tmp_path, patience=1e6)) as person:
         person.take()
-        person.wait(lambda: person.session.desk.asked)
+        person.wait(lambda: person.session.panel.asked)
         person.session.leave(OTHER)  # who only watched
         person.session.leave(ME)
         person.wait_for(EventKind.OPERATOR_AWAY)
-        assert person.session.desk.operator is None
-        assert not person.act(lambda desk: desk.go_on(ME)).ok
+        assert person.session.panel.operator is None
+        assert not person.act(lambda panel: panel.go_on(ME)).ok
         assert person.take(OTHER).ok
         person.wait_for(EventKind.OPERATOR_BACK)
         assert (person.count(EventKind.OPERATOR_AWAY), person.count(EventKind.OPERATOR_BACK)) == (
@@ -188,17 +187,17 @@ def test_an_operator_who_leaves_and_one_who_comes(tmp_path):
 def test_a_service_that_expires_closes_the_desk(tmp_path):
     with Person(toy(tmp_path, robots=1, patience=1e6, speed=1000.0)) as person:
         person.take()
-        person.wait(lambda: person.session.desk.asked)
-        first = person.session.desk.asked
+        person.wait(lambda: person.session.panel.asked)
+        first = person.session.panel.asked
         assert first is not None
-        person.act(lambda desk: desk.click(ME, 0, *map(float, first.view.objects[5])))
+        person.act(lambda panel: panel.click(ME, 0, *map(float, first.view.objects[5])))
         person.wait_for(EventKind.SERVICE_END, outcome="expired")
-        person.wait(lambda: person.session.desk.asked is not first)
+        person.wait(lambda: person.session.panel.asked is not first)
         seen: list = []
 
-        def look(desk):
-            seen.append((desk.asked, desk.object, desk.target))
-            return Word("seen")
+        def look(panel):
+            seen.append((panel.asked, panel.object, panel.target))
+            return Feedback("seen")
 
         person.act(look)
         ((asked, picked, target),) = seen
@@ -211,15 +210,15 @@ def test_an_act_that_fails_stops_nothing(tmp_path):
     with Person(toy(tmp_path, horizon=500.0)) as person:
         person.take()
 
-        def fail(desk):
+        def fail(panel):
             raise RuntimeError("the page sent nonsense")
 
         for _ in range(3):
             word = person.act(fail)
             assert (word.text, word.ok, word.answered) == ("That did not work.", False, False)
-        word = person.act(lambda desk: desk.click(ME, 0, "left", None))  # pyright: ignore[reportArgumentType]
+        word = person.act(lambda panel: panel.click(ME, 0, "left", None))  # pyright: ignore[reportArgumentType]
         assert not word.ok
-        person.wait(lambda: person.session.desk.asked)
+        person.wait(lambda: person.session.panel.asked)
         assert person.answer(lambda number: 2).answered
         person.wait_for(EventKind.ITERATION)
     assert person.error is None
@@ -230,11 +229,11 @@ def test_an_answer_that_comes_too_late_for_the_fleet(changes, tmp_path):
     # Robot 1 plans, and the computer does not get round to it. Here the test is the session's
     # thread, and the clock stands where it is put.
     config = toy(tmp_path, policy="first asks", robots=2, tasks=1, patience=1e6, **changes)
-    session = Session(Setting.of(config), lambda frame: None)
+    session = Session(SessionSpec.of(config), lambda frame: None)
     clock = types.SimpleNamespace(running=True, at_ns=0, now_ns=lambda: clock.at_ns,
                                   hold=lambda at_ns: None, held_s=0.0)  # fmt: skip
     session.clock = clock  # pyright: ignore[reportAttributeAccessIssue]
-    words: list[Word] = []
+    words: list[Feedback] = []
 
     def turn():
         session._take_in()
@@ -242,15 +241,15 @@ def test_an_answer_that_comes_too_late_for_the_fleet(changes, tmp_path):
 
     session.take(ME, words.append)
     turn()
-    assert session.desk.asked is not None and len(session.play.queue) == 1
+    assert session.panel.asked is not None and len(session.play.queue) == 1
     clock.at_ns = 9 * S if changes else 179 * S
     turn()
     clock.at_ns += 2 * S  # past the horizon, or the limit of robot 0's task
     turn()
-    session.act(ME, lambda desk: desk.go_on(ME), words.append)
+    session.act(ME, lambda panel: panel.go_on(ME), words.append)
     turn()
     while len(session.play.queue):
-        session.play.queue.round()
+        session.play.queue.run_batch()
         turn()
     turn()
     assert len(words) == 2
@@ -258,7 +257,7 @@ def test_an_answer_that_comes_too_late_for_the_fleet(changes, tmp_path):
     assert words[1].answered == (said == [((0, 0, 0), None)])
     session.record.close()
     play, log = replay(tmp_path / JOURNAL)
-    play.settle()
+    play.run_until()
     assert compare(play.fleet.events, log) is None
 
 
@@ -269,7 +268,7 @@ def test_a_session_that_was_stopped_can_be_gone_on_with(tmp_path):
     out = tmp_path / "session"
     with Person(toy(out)) as person:
         person.take()
-        person.wait(lambda: person.session.desk.asked)
+        person.wait(lambda: person.session.panel.asked)
         person.answer(lambda number: 0)
         person.wait_for(EventKind.GRANT, 2)
     summary = person.session.record.close()
@@ -343,10 +342,10 @@ def test_folders_that_hold_a_session_are_not_taken(closed, tmp_path):
     for name in (JOURNAL, TABLE):
         (tmp_path / name).write_bytes(b"")
         with pytest.raises(BadInput, match=f"{name} exists; expected a new folder, or --resume"):
-            Setting.of(toy(tmp_path))
+            SessionSpec.of(toy(tmp_path))
         (tmp_path / name).unlink()
     with pytest.raises(BadInput, match="exists"):
-        Setting.of(toy(folder))
+        SessionSpec.of(toy(folder))
     with pytest.raises(BadInput, match="the session has ended; there is nothing to resume"):
         Person(toy(folder, resume=True))
     assert {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()} == before
@@ -371,11 +370,11 @@ def test_a_session_goes_on_as_it_was_or_not_at_all(whole, tmp_path):
         with pytest.raises(
             BadInput, match=rf"^{name}: .*, but .* was recorded with .*leave it out"
         ):
-            Setting.of(toy(out, resume=True, **changes))
+            SessionSpec.of(toy(out, resume=True, **changes))
     # What is not said is as recorded; where it listens is its own.
-    setting = Setting.of(ConsoleConfig(out=out, resume=True, port=0, host="0.0.0.0"))
-    assert setting.config == toy(out, resume=True, port=0, host="0.0.0.0")
-    assert setting.start_ns == read_log(out / JOURNAL).events[-1].time_ns
+    spec = SessionSpec.of(ConsoleConfig(out=out, resume=True, port=0, host="0.0.0.0"))
+    assert spec.config == toy(out, resume=True, port=0, host="0.0.0.0")
+    assert spec.start_ns == read_log(out / JOURNAL).events[-1].time_ns
 
     def version(head):
         head["identity"]["versions"]["jax"] = "0.0.1"
@@ -401,7 +400,7 @@ def test_a_session_goes_on_as_it_was_or_not_at_all(whole, tmp_path):
     ):
         other = with_head(whole.journal, tmp_path / change.__name__, change)
         with pytest.raises(BadInput) as caught:
-            Setting.of(ConsoleConfig(out=other, resume=True))
+            SessionSpec.of(ConsoleConfig(out=other, resume=True))
         assert words in str(caught.value) and str(other) in str(caught.value)
     assert (out / JOURNAL).read_bytes() == before
 
@@ -424,10 +423,10 @@ def test_a_session_that_went_another_way_does_not_go_on(whole, tmp_path):
 
 def test_there_is_nothing_to_resume(tmp_path):
     with pytest.raises(BadInput, match="no such file"):
-        Setting.of(toy(tmp_path, resume=True))
+        SessionSpec.of(toy(tmp_path, resume=True))
     (tmp_path / JOURNAL).write_bytes(b'{"what": "pgf_jax ses')
     with pytest.raises(BadInput, match="is empty, expected an event log"):
-        Setting.of(toy(tmp_path, resume=True))
+        SessionSpec.of(toy(tmp_path, resume=True))
 
 
 def test_a_horizon_ends_a_session(tmp_path):
@@ -466,7 +465,7 @@ def test_a_replay_is_watched(closed, tmp_path):
     with person:
         # Whoever takes a seat changes nothing.
         assert person.take().ok
-        assert not person.act(lambda desk: desk.go_on(ME)).ok
+        assert not person.act(lambda panel: panel.go_on(ME)).ok
         person.session.leave(ME)
         person.join()
     person.session.record.close()

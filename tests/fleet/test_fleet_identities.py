@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from test_fleet_properties import CONFIGS, simulate
 
 from pgf_jax.fleet import EventKind, FleetConfig
-from pgf_jax.fleet.clock import nanoseconds
+from pgf_jax.fleet.event_calendar import nanoseconds
 from pgf_jax.fleet.identities import check_identities, verify
 
 S = 10**9

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Event, EventKind, Fleet, FleetConfig
-from pgf_jax.fleet.allocator import Line, Operators, Refuse, Reply, Window
+from pgf_jax.fleet.allocator import AskOutcome, FifoQueue, LossSystem, Window
 from pgf_jax.fleet.compute import Dedicated, Shared, parse_compute
 from pgf_jax.fleet.metrics import (
     busy_ns,
@@ -22,6 +22,7 @@ from pgf_jax.fleet.metrics import (
     t_quantile,
     window_sizes,
 )
+from pgf_jax.fleet.operator_pool import OperatorPool
 from pgf_jax.fleet.policies import Discipline, Silent, check_policy, register_policy
 from pgf_jax.fleet.service import LogNormal
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
@@ -187,7 +188,7 @@ def test_windows_give_the_free_operators_to_the_highest_bids(bids, free, seed, o
     def close(robots: list[int]) -> tuple[list[int], list[int]]:
         window = Window(seed=seed, robots=10)
         replies = [window.ask(robot, bids[robot], free=free) for robot in robots]
-        assert replies == [Reply.OPENS] + [Reply.WAITS] * (len(robots) - 1)
+        assert replies == [AskOutcome.OPENS] + [AskOutcome.WAITS] * (len(robots) - 1)
         return window.close(free=free)
 
     robots = sorted(bids)
@@ -206,9 +207,9 @@ def test_windows_give_the_free_operators_to_the_highest_bids(bids, free, seed, o
 
 def test_a_window_needs_a_free_operator_to_open_but_not_to_join():
     window = Window(seed=0, robots=3)
-    assert window.ask(0, 1.0, free=0) is Reply.IGNORED
-    assert window.ask(0, 1.0, free=1) is Reply.OPENS
-    assert window.ask(1, 2.0, free=0) is Reply.WAITS
+    assert window.ask(0, 1.0, free=0) is AskOutcome.IGNORED
+    assert window.ask(0, 1.0, free=1) is AskOutcome.OPENS
+    assert window.ask(1, 2.0, free=0) is AskOutcome.WAITS
     window.withdraw(1)
     assert window.match(free=1) == []
     assert window.close(free=1) == ([0], [])
@@ -217,29 +218,29 @@ def test_a_window_needs_a_free_operator_to_open_but_not_to_join():
 
 
 def test_line_and_refusal():
-    line = Line()
+    line = FifoQueue()
     for robot in (4, 2, 7):
-        assert line.ask(robot, 0.0, free=0) is Reply.WAITS
+        assert line.ask(robot, 0.0, free=0) is AskOutcome.WAITS
     line.withdraw(2)
     assert line.match(free=0) == []
     assert line.match(free=1) == [4]
     assert line.match(free=3) == [7]
-    refuse = Refuse()
-    assert refuse.ask(1, 0.0, free=0) is Reply.REFUSED
+    refuse = LossSystem()
+    assert refuse.ask(1, 0.0, free=0) is AskOutcome.REFUSED
     assert refuse.match(free=1) == []
-    assert refuse.ask(1, 0.0, free=1) is Reply.WAITS
+    assert refuse.ask(1, 0.0, free=1) is AskOutcome.WAITS
     assert refuse.match(free=1) == [1]
 
 
 def test_operators():
-    operators = Operators(2)
-    assert operators.take(5) == (0, False)
-    assert operators.take(6) == (1, False)
+    operators = OperatorPool(2)
+    assert operators.acquire(5) == (0, False)
+    assert operators.acquire(6) == (1, False)
     assert operators.free == 0
     assert operators.release(5) == 0
-    assert operators.take(5) == (0, False)
+    assert operators.acquire(5) == (0, False)
     assert operators.release(5) == 0
-    assert operators.take(7) == (0, True)
+    assert operators.acquire(7) == (0, True)
 
 
 # --- metrics ------------------------------------------------------------------------------------

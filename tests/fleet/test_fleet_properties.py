@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pgf_jax.fleet import EventKind, Fleet, FleetConfig, IterationResult, Work, WorkKind
-from pgf_jax.fleet.clock import nanoseconds
+from pgf_jax.fleet.event_calendar import nanoseconds
 from pgf_jax.fleet.identities import verify
 from pgf_jax.fleet.metrics import busy_ns
 from pgf_jax.fleet.policies import policy_names

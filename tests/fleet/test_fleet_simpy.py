@@ -14,7 +14,7 @@ import pytest
 import simpy
 
 from pgf_jax.fleet import EventKind, Fleet, FleetConfig, IterationResult, Work
-from pgf_jax.fleet.clock import nanoseconds
+from pgf_jax.fleet.event_calendar import nanoseconds
 from pgf_jax.fleet.stub import StubRobots, drive
 from pgf_jax.planning.types import Push
 

@@ -13,7 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from pgf_jax.fleet import EventKind, Fleet, FleetConfig, IterationResult, Work, WorkKind
-from pgf_jax.fleet.clock import nanoseconds
+from pgf_jax.fleet.event_calendar import nanoseconds
 from pgf_jax.fleet.identities import verify
 from pgf_jax.fleet.policies import policy_names
 from pgf_jax.fleet.records import State
@@ -21,8 +21,8 @@ from pgf_jax.fleet.service import LogNormal, ServiceTimes
 from pgf_jax.fleet.simulator import Attendance
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
 from pgf_jax.planning.types import UNANSWERED, NoInput, Push, Status
-from pgf_jax.study.event_log import EventLog
-from pgf_jax.study.recording import Recording
+from pgf_jax.simulation.recorded_operator import Recording
+from pgf_jax.tables.event_log import EventLog
 
 S = 10**9
 ITERATIONS = ("iteration", "execution_end", "retreat_end")

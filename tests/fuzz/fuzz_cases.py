@@ -19,29 +19,35 @@ import fuzz_mutate as mutate
 import numpy as np
 import polars as pl
 
+from pgf_jax.collection import collect
 from pgf_jax.errors import BadInput
+from pgf_jax.files import json_bytes, read_json, sha256
 from pgf_jax.fleet import Event, EventKind
+from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.records import TaskRecord
-from pgf_jax.guidance import checkpoint
-from pgf_jax.guidance.bidders import Choice
-from pgf_jax.guidance.forks import FORK_SCHEMA, gain_rows, read_forks, write_forks
-from pgf_jax.guidance.rows import autonomous_rows, human_rows
-from pgf_jax.guidance.runs import Mode, RunLog, read_runs, write_runs
-from pgf_jax.guidance.state import STATE
+from pgf_jax.guidance.predictors import checkpoint
+from pgf_jax.guidance.predictors.features import STATE
+from pgf_jax.guidance.predictors.registry import PredictorSpec
+from pgf_jax.inspection.config import VerifyConfig
+from pgf_jax.inspection.verify import verify
+from pgf_jax.operator_fit import lognormal
+from pgf_jax.operator_fit.command import fit_operator
+from pgf_jax.operator_fit.config import FitOperatorConfig
 from pgf_jax.planning.types import Status
+from pgf_jax.plans.file import Plan, load_plan, save_plan
 from pgf_jax.scene import Scene, load_scene, load_scenes, sample_scene
-from pgf_jax.study import cells, collect, event_log, results, service_fit
-from pgf_jax.study.crew import Segment
-from pgf_jax.study.fit_operator import fit_operator
-from pgf_jax.study.fit_operator_config import FitOperatorConfig
-from pgf_jax.study.folder import MANIFEST, check_folder, keys_of
-from pgf_jax.study.plan_file import Plan, load_plan, save_plan
-from pgf_jax.study.recording import Recording, replaying, settings_of
-from pgf_jax.study.sweep import _conclude
-from pgf_jax.study.sweep_config import Cell, SweepConfig
-from pgf_jax.study.sweep_setup import Setup, provenance
-from pgf_jax.study.verify import verify
-from pgf_jax.study.verify_config import VerifyConfig
+from pgf_jax.simulation.planned_robots import Segment
+from pgf_jax.simulation.recorded_operator import Recording
+from pgf_jax.sweeping import cell_store
+from pgf_jax.sweeping.cell_store import MANIFEST, check_folder, keys_of
+from pgf_jax.sweeping.config import SweepConfig
+from pgf_jax.sweeping.replay import replaying, settings_of
+from pgf_jax.sweeping.resolve import Setup, provenance
+from pgf_jax.sweeping.sweep import _conclude
+from pgf_jax.tables import event_log, results
+from pgf_jax.tables.forks import FORK_SCHEMA, read_forks, write_forks
+from pgf_jax.tables.runs import Mode, RunLog, read_runs, write_runs
+from pgf_jax.training.rows import autonomous_rows, gain_rows, human_rows
 
 LONGEST = 500  # characters of a message
 CORPUS = Path(__file__).parent / "corpus"
@@ -296,10 +302,10 @@ def finished() -> dict[str, bytes]:
         for cell, own in keys.items():
             tasks = results.tasks_frame(records(), lambda robot, task: "x")
             about = provenance(ours, cell)
-            content = cells.Content(tasks, results.events_frame(EVENTS), about)
+            content = cell_store.Content(tasks, results.events_frame(EVENTS), about)
             account = {"session": "0123", "host": {"name": "here", "pid": 7}, "attempt": 1}
             account |= {"wall_s": 1.5, "inputs": ours.config.inputs()}
-            cells.write(cells.path(folder, own), content.data(), account)
+            cell_store.write(cell_store.path(folder, own), content.data(), account)
         _conclude(ours, keys, set())
         return {
             str(path.relative_to(folder)): path.read_bytes()
@@ -321,16 +327,16 @@ def foreign_cell() -> list[bytes]:
     return [dataclasses.replace(ours, about=provenance(other, cell)).data()]
 
 
-def finished_cells() -> list[cells.Content]:
+def finished_cells() -> list[cell_store.Content]:
     files = {name: data for name, data in cell_files().items() if name.endswith(".parquet")}
     first = f"cells/{key()}.parquet"
     names = sorted(files, key=lambda name: name != first)
-    return [cells.decode(files[name], Path(name)) for name in names]
+    return [cell_store.decode(files[name], Path(name)) for name in names]
 
 
 def collect_settings() -> list[bytes]:
     kept = {"mode": "human", "classes": ["tight"], "seed": 0, "task_limit": 120.0, "scenes": 4}
-    return [results.json_bytes(kept)]
+    return [json_bytes(kept)]
 
 
 # -- readers ---------------------------------------------------------------------------------------
@@ -345,7 +351,7 @@ def _checkpoint(folder: Path) -> None:
     loaded = checkpoint.load(path)
     checkpoint.save(folder / "again", loaded)  # what was read can be written
     (folder / "again").unlink()
-    Choice("paper", folder).load()
+    PredictorSpec("paper", folder).load()
 
 
 def _runs(folder: Path) -> None:
@@ -371,10 +377,10 @@ def _tasks(folder: Path) -> None:
 
 
 def _cell(folder: Path) -> None:
-    content = cells.read(cells.path(folder, key()))
+    content = cell_store.read(cell_store.path(folder, key()))
     results.task_records(content.tasks)
     results.event_log(content.events)
-    assert cells.decode(content.data(), folder).data() == content.data()
+    assert cell_store.decode(content.data(), folder).data() == content.data()
 
 
 def _check_folder(folder: Path) -> None:
@@ -481,7 +487,7 @@ READERS: dict[str, Reader] = {
     "verify_summary_signed": _verified("summary.csv", mutate.TEXT, sign=True),
     "json": Reader(
         "x.json",
-        lambda f: results.read_json(f / "x.json"),
+        lambda f: read_json(f / "x.json"),
         lambda: [*_finished(MANIFEST)(), b'{"a": [1, 2.5, null, "b"]}'],
         mutate.JSON,
     ),
@@ -561,12 +567,12 @@ def outcome(name: str, data: bytes, folder: Path) -> str:
 
 def _signatures(changed: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
     """What says the changed file's digest: what stands beside a cell, and a manifest."""
-    digest, signed = results.sha256(files[changed]), {}
+    digest, signed = sha256(files[changed]), {}
     if changed.startswith("cells/"):
         beside = changed.replace(".parquet", ".json")
         account = json.loads(cell_files()[f"cells/{key()}.json"])
         account |= {"sha256": digest, "bytes": len(files[changed])}
-        signed[beside] = results.json_bytes(account)
+        signed[beside] = json_bytes(account)
     if MANIFEST in files:
         manifest = json.loads(files[MANIFEST])
         for cell in manifest["cells"]:
@@ -574,10 +580,10 @@ def _signatures(changed: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
                 cell["sha256"] = digest
         if changed in manifest["files"]:
             manifest["files"][changed] = digest
-        signed[MANIFEST] = results.json_bytes(manifest)
+        signed[MANIFEST] = json_bytes(manifest)
     return signed
 
 
 def fewer_resamples() -> None:
     """A bootstrap of few samples: what is read does not depend on it."""
-    service_fit.BOOTSTRAP = 20
+    lognormal.BOOTSTRAP = 20

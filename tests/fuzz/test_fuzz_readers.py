@@ -21,15 +21,14 @@ import pytest
 from fuzz_cases import READERS
 from fuzz_worker import Tally, fuzz
 
-from pgf_jax.errors import BadInput, shown
-from pgf_jax.files import read_file
-from pgf_jax.guidance import decoder
-from pgf_jax.guidance.bidders import choice
-from pgf_jax.guidance.forks import forks_of, read_forks
-from pgf_jax.guidance.tables import read_provenance, read_table, write_atomically
+from pgf_jax.errors import BadInput, short_repr
+from pgf_jax.files import read_file, read_json, write_atomically
+from pgf_jax.guidance.predictors.registry import predictor_spec
+from pgf_jax.plans.file import load_plan, plan_path
 from pgf_jax.scene import load_scene, load_scenes
-from pgf_jax.study import event_log, results
-from pgf_jax.study.plan_file import load_plan, plan_path
+from pgf_jax.tables import decoder, event_log, results
+from pgf_jax.tables.forks import forks_of, read_forks
+from pgf_jax.tables.parquet import read_provenance, read_table
 
 FEW = 150  # cases of a reader: seconds
 MANY = 1300  # 30 readers: 39 000 files
@@ -90,10 +89,10 @@ ANY = {
     "plan": load_plan,
     "log": event_log.read_log,
     "results": lambda path: results.read_results(path, {}),
-    "json": results.read_json,
+    "json": read_json,
     "table": _table,
     "provenance": read_provenance,
-    "checkpoint": lambda path: choice(str(path)).load(),
+    "checkpoint": lambda path: predictor_spec(str(path)).load(),
 }
 PLACES = [
     "nothing",
@@ -185,8 +184,8 @@ def test_any_value_can_be_shown():
     deep: list = []
     for _ in range(100_000):
         deep = [deep]
-    assert shown(deep) == "a list" and shown(10**5000) == "a int"
-    assert shown("a\nb") == r"'a\nb'" and shown("z" * 100) == "'" + "z" * 56 + "..."
+    assert short_repr(deep) == "a list" and short_repr(10**5000) == "a int"
+    assert short_repr("a\nb") == r"'a\nb'" and short_repr("z" * 100) == "'" + "z" * 56 + "..."
     while deep:  # unnested by hand: its end must not be a recursion either
         deep = deep[0]
 

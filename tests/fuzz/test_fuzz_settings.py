@@ -10,19 +10,18 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from pgf_jax.collection.config import CollectConfig
 from pgf_jax.console.config import ConsoleConfig
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.config import FleetConfig
-from pgf_jax.guidance.train_config import TrainConfig
+from pgf_jax.inspection.config import ReproduceConfig, VerifyConfig
+from pgf_jax.operator_fit.config import FitOperatorConfig
+from pgf_jax.plans.config import PlanCommand, PlanConfig
+from pgf_jax.profiling.config import ProfileConfig
 from pgf_jax.render.config import RenderConfig
-from pgf_jax.study.collect_config import CollectConfig
-from pgf_jax.study.fit_operator_config import FitOperatorConfig
-from pgf_jax.study.plan_config import PlanCommand, PlanConfig
-from pgf_jax.study.profile_config import ProfileConfig
-from pgf_jax.study.recording import settings_of
-from pgf_jax.study.reproduce_config import ReproduceConfig
-from pgf_jax.study.sweep_config import SweepConfig
-from pgf_jax.study.verify_config import VerifyConfig
+from pgf_jax.sweeping.config import SweepConfig
+from pgf_jax.sweeping.replay import settings_of
+from pgf_jax.training.config import TrainConfig
 
 LONGEST = 500
 

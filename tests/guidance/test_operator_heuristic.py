@@ -7,14 +7,10 @@ from hypothesis import strategies as st
 
 from pgf_jax.errors import BadInput
 from pgf_jax.guidance.geometry import culprits
-from pgf_jax.guidance.heuristic import HeuristicOperator
-from pgf_jax.guidance.operators import (
-    NoOperator,
-    View,
-    make_operator,
-    operator_names,
-    register_operator,
-)
+from pgf_jax.guidance.operators.base import NoOperator
+from pgf_jax.guidance.operators.heuristic import HeuristicOperator
+from pgf_jax.guidance.operators.registry import make_operator, operator_names, register_operator
+from pgf_jax.guidance.view import View
 from pgf_jax.planning.types import Push
 from pgf_jax.scene import sample_scene
 

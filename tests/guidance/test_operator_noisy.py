@@ -8,11 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance import heuristic
-from pgf_jax.guidance.heuristic import TARGETS_HIGH, TARGETS_LOW, HeuristicOperator, candidates
-from pgf_jax.guidance.noisy import NoisyOperator
-from pgf_jax.guidance.operators import View, make_operator
+from pgf_jax.guidance.operators import heuristic
+from pgf_jax.guidance.operators.heuristic import (
+    TARGETS_HIGH,
+    TARGETS_LOW,
+    HeuristicOperator,
+    candidates,
+)
+from pgf_jax.guidance.operators.noisy import NoisyOperator
+from pgf_jax.guidance.operators.registry import make_operator
 from pgf_jax.guidance.trials import Trial
+from pgf_jax.guidance.view import View
 from pgf_jax.planning.types import Push
 from pgf_jax.scene import sample_scene
 

@@ -12,10 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance import checkpoint as ckpt
-from pgf_jax.guidance.checkpoint import NETWORKS, PAIR, Checkpoint, load, load_network, save
-from pgf_jax.guidance.predictor import FEATURES, combine, init
-from pgf_jax.guidance.state import STATE
+from pgf_jax.guidance.predictors import checkpoint as ckpt
+from pgf_jax.guidance.predictors.checkpoint import (
+    NETWORKS,
+    PAIR,
+    Checkpoint,
+    load,
+    load_network,
+    save,
+)
+from pgf_jax.guidance.predictors.features import FEATURES, STATE
+from pgf_jax.guidance.predictors.network import combine, init
 
 
 def example(network="phi_auto", seed=0, hidden=(64, 32, 8), *, names=FEATURES, members=1):

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance import bidders, checkpoint
-from pgf_jax.guidance.bidders import Choice, choice
-from pgf_jax.guidance.predictor import FEATURES, Direct, Failure, Pair, init
-from pgf_jax.guidance.state import STATE
-from pgf_jax.study.plan_config import PlanConfig
-from pgf_jax.study.sweep_config import SweepConfig
+from pgf_jax.guidance.predictors import checkpoint, registry
+from pgf_jax.guidance.predictors.features import FEATURES, STATE
+from pgf_jax.guidance.predictors.network import CostDifference, FailureClassifier, GainNetwork, init
+from pgf_jax.guidance.predictors.registry import PredictorSpec, predictor_spec
+from pgf_jax.plans.config import PlanConfig
+from pgf_jax.sweeping.config import SweepConfig
 
 NAMES = {"gain": ("turn", "distance", "n_objects")}
 
@@ -33,20 +33,20 @@ def write(folder: Path, seed: int = 0) -> Path:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("paper", Choice("paper")),
-        ("best", Choice("best")),
-        ("some/folder", Choice("paper", Path("some/folder"))),
-        ("paper:some/folder", Choice("paper", Path("some/folder"))),
-        ("best:some/folder", Choice("best", Path("some/folder"))),
-        ("best:a:b", Choice("best", Path("a:b"))),
-        ("worst:folder", Choice("paper", Path("worst:folder"))),
+        ("paper", PredictorSpec("paper")),
+        ("best", PredictorSpec("best")),
+        ("some/folder", PredictorSpec("paper", Path("some/folder"))),
+        ("paper:some/folder", PredictorSpec("paper", Path("some/folder"))),
+        ("best:some/folder", PredictorSpec("best", Path("some/folder"))),
+        ("best:a:b", PredictorSpec("best", Path("a:b"))),
+        ("worst:folder", PredictorSpec("paper", Path("worst:folder"))),
         # A classifier is no gain: it is chosen by the policy, not by name.
-        ("classifier", Choice("paper", Path("classifier"))),
-        ("./best", Choice("paper", Path("best"))),
+        ("classifier", PredictorSpec("paper", Path("classifier"))),
+        ("./best", PredictorSpec("paper", Path("best"))),
     ],
 )
 def test_what_a_text_asks_for(text, expected):
-    assert choice(text) == expected
+    assert predictor_spec(text) == expected
 
 
 def test_a_folder_may_be_given_as_a_path():
@@ -57,14 +57,14 @@ def test_a_folder_may_be_given_as_a_path():
 @pytest.mark.parametrize(
     ("name", "kind", "networks"),
     [
-        ("paper", Pair, ["phi_auto", "phi_human"]),
-        ("best", Direct, ["gain"]),
-        ("classifier", Failure, ["failure"]),
+        ("paper", CostDifference, ["phi_auto", "phi_human"]),
+        ("best", GainNetwork, ["gain"]),
+        ("classifier", FailureClassifier, ["failure"]),
     ],
 )
 def test_each_is_made_of_its_networks(tmp_path, monkeypatch, name, kind, networks):
     folder = write(tmp_path / "own")
-    bidder, checkpoints = Choice(name, folder).load()
+    bidder, checkpoints = PredictorSpec(name, folder).load()
     assert type(bidder) is kind
     assert [loaded.network for loaded in checkpoints] == networks
     states = np.random.default_rng(1).uniform(0, 500, (6, len(STATE)))
@@ -75,8 +75,8 @@ def test_each_is_made_of_its_networks(tmp_path, monkeypatch, name, kind, network
     assert all(type(leaf) is np.ndarray for leaf in leaves)
     # Without a folder it is the shipped one.
     shipped = write(tmp_path / "shipped", seed=1)
-    monkeypatch.setattr(bidders, "shipped_checkpoints", lambda: shipped)
-    other, _ = Choice(name).load()
+    monkeypatch.setattr(registry, "shipped_checkpoints", lambda: shipped)
+    other, _ = PredictorSpec(name).load()
     assert not np.array_equal(other.gain(states), by_hand)
 
 
@@ -94,7 +94,7 @@ def test_each_is_made_of_its_networks(tmp_path, monkeypatch, name, kind, network
 def test_what_is_missing_is_named_in_one_line(tmp_path, damage, text, message):
     write(tmp_path)
     (tmp_path / f"{damage}.msgpack").unlink(missing_ok=True)
-    chosen = choice(text.format(tmp_path))
+    chosen = predictor_spec(text.format(tmp_path))
     if message is None:
         chosen.load()
         return

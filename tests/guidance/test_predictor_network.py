@@ -9,18 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pgf_jax.guidance.predictor import (
+from pgf_jax.guidance.predictors.features import STATE, history_features
+from pgf_jax.guidance.predictors.network import (
     LANES,
-    Failure,
-    Pair,
+    CostDifference,
+    FailureClassifier,
     Predictor,
     combine,
     forward,
     init,
     normalisation,
 )
-from pgf_jax.guidance.rows import history_features
-from pgf_jax.guidance.state import STATE
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -109,7 +108,7 @@ def test_predictor_is_a_pytree():
 )
 def test_gain_clips_each_at_zero(auto, human, expected):
     x = states(sample(3))
-    assert Pair(constant(auto), constant(human)).gain(x).tolist() == [expected] * 3
+    assert CostDifference(constant(auto), constant(human)).gain(x).tolist() == [expected] * 3
 
 
 def test_predictions_are_not_clipped_but_gains_are():
@@ -126,7 +125,7 @@ def test_no_prediction_without_a_history_or_with_a_broken_one():
             history_features(20, [(np.inf, 0.0, 0.0), *full]),
         ]
     )
-    value = Pair(random_predictor(1), random_predictor(2)).gain(states(x))
+    value = CostDifference(random_predictor(1), random_predictor(2)).gain(states(x))
     assert np.isnan(value).tolist() == [False, True, True, False]
     assert value[0] == value[3]
 
@@ -143,7 +142,7 @@ def test_empty_and_malformed_batches():
 @given(st.integers(1, 2 * LANES + 3), st.integers(0, 2**32 - 1))
 def test_a_prediction_depends_on_its_own_row_alone(size, seed):
     """Bit for bit: any batch size, any order, any content of the other rows, nan included."""
-    pair = Pair(random_predictor(3), combine([random_predictor(4), random_predictor(5)]))
+    pair = CostDifference(random_predictor(3), combine([random_predictor(4), random_predictor(5)]))
     rng = np.random.default_rng(seed)
     x = states(sample(size, seed))
     together = pair.gain(x)
@@ -200,11 +199,17 @@ def test_a_predictor_takes_its_features_by_name():
 def test_a_failure_s_gain_is_the_logistic_of_its_network():
     x = states(sample(5))
     for odds in (-3.0, 0.0, 0.25, 40.0, -200.0):
-        value = Failure(constant(odds)).gain(x)
+        value = FailureClassifier(constant(odds)).gain(x)
         np.testing.assert_allclose(value, 1 / (1 + np.exp(-odds)), rtol=1e-6, atol=1e-40)
         assert value.dtype == np.float32
     x[2, 3] = np.nan
-    assert np.isnan(Failure(constant(1.0)).gain(x)).tolist() == [False, False, True, False, False]
+    assert np.isnan(FailureClassifier(constant(1.0)).gain(x)).tolist() == [
+        False,
+        False,
+        True,
+        False,
+        False,
+    ]
 
 
 def test_dropout_needs_a_key_and_is_off_without():

@@ -10,10 +10,10 @@ from render_plans import plan
 
 from pgf_jax.cli import main
 from pgf_jax.errors import BadInput
+from pgf_jax.plans.file import save_plan
+from pgf_jax.render.command import render
 from pgf_jax.render.config import RenderConfig
-from pgf_jax.render.run import render
-from pgf_jax.study import play
-from pgf_jax.study.plan_file import save_plan
+from pgf_jax.simulation import runner
 
 SESSION_S = 10.0  # robot 1 is served within 4..6 s; tasks 0 and 1 of 5 s each
 SMALL = (320, 240)
@@ -41,7 +41,7 @@ def session(tmp_path, monkeypatch) -> Path:
     file = tmp_path / "events.jsonl"
     file.write_bytes(b"")
     asked.clear()
-    monkeypatch.setattr(play, "snapshots", snapshots)
+    monkeypatch.setattr(runner, "snapshots", snapshots)
     return file
 
 

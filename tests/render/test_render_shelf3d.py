@@ -9,7 +9,7 @@ from render_cases import OBJECTS, PATH, fleet, robot
 
 from pgf_jax.errors import BadInput
 from pgf_jax.planning.types import Push
-from pgf_jax.render import wall
+from pgf_jax.render import fleet_view
 from pgf_jax.render.shelf3d import ShelfView
 
 
@@ -66,7 +66,7 @@ def test_push_path_and_hand_are_drawn(view):
 def test_one_view_draws_any_size_and_the_wall(view):
     for width, height in [(700, 500), (60, 50), (300, 420)]:
         assert view.shelf(robot(), width, height).shape == (height, width, 3)
-    assert wall.draw(fleet(4, 1), (480, 300), view).shape == (300, 480, 3)
+    assert fleet_view.draw(fleet(4, 1), (480, 300), view).shape == (300, 480, 3)
 
 
 def test_any_number_of_objects_is_drawn(view):

@@ -9,7 +9,7 @@ from render_cases import count, fleet, rgb, robot
 
 from pgf_jax.fleet.records import State
 from pgf_jax.planning.types import Push, Status
-from pgf_jax.render import wall
+from pgf_jax.render import fleet_view
 from pgf_jax.render.chart import CURVE, draw_costs
 from pgf_jax.render.paint import Canvas
 from pgf_jax.render.panel import state_words
@@ -36,7 +36,7 @@ class Flat:
 @pytest.mark.parametrize("served", [True, False])
 def test_every_robot_has_its_shelf_and_the_served_one_a_large_one(robots, served):
     view, serving = Flat(), robots - 1 if served else None
-    picture = wall.draw(fleet(robots, serving), (1400, 900), view)
+    picture = fleet_view.draw(fleet(robots, serving), (1400, 900), view)
     assert picture.shape == (900, 1400, 3) and picture.dtype == np.uint8
     areas: dict[int, list[int]] = {i: [] for i in range(robots)}
     for index, width, height in view.drawn:
@@ -53,7 +53,7 @@ def test_every_robot_has_its_shelf_and_the_served_one_a_large_one(robots, served
 def test_cells_keep_their_places_while_the_operator_comes_and_goes():
     places = []
     for serving in (0, 3, None):
-        picture = wall.draw(fleet(6, serving), (1400, 900), Flat())
+        picture = fleet_view.draw(fleet(6, serving), (1400, 900), Flat())
         found = [np.argwhere((picture == rgb(COLORS[i])).all(-1)) for i in (1, 2, 4, 5)]
         places.append([(*at.min(0), *at.max(0)) for at in found])
     assert places[0] == places[1] == places[2]
@@ -62,7 +62,7 @@ def test_cells_keep_their_places_while_the_operator_comes_and_goes():
 @pytest.mark.parametrize("robots", range(1, 61))
 def test_cells_lie_side_by_side_within_their_box(robots):
     box = (6.0, 55.0, 830.0, 894.0)
-    cells = np.array(wall.layout(robots, box))
+    cells = np.array(fleet_view.layout(robots, box))
     assert len(cells) == robots
     assert (cells[:, :2] >= np.array(box[:2]) - 1e-9).all()
     assert (cells[:, 2:] <= np.array(box[2:]) + 1e-9).all()
@@ -114,11 +114,11 @@ def test_inputs_stand_between_the_costs_before_and_after_them():
 
 def test_one_robot_alone_fills_a_picture():
     for size in [(1280, 800), (480, 720), (240, 240)]:
-        picture = wall.draw_one(robot(push=Push(0, 0.5, 0.3)), size, TopView(), tasks=20)
+        picture = fleet_view.draw_one(robot(push=Push(0, 0.5, 0.3)), size, TopView(), tasks=20)
         assert picture.shape == (size[1], size[0], 3)
 
 
 def test_the_same_snapshot_is_the_same_picture():
     view = TopView()
-    once, again = (wall.draw(fleet(8, 3), (700, 450), view) for _ in range(2))
+    once, again = (fleet_view.draw(fleet(8, 3), (700, 450), view) for _ in range(2))
     np.testing.assert_array_equal(once, again)

@@ -1,0 +1,153 @@
+"""Computes planner requests in calls of fixed shape."""
+
+import copy
+import functools
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pgf_jax.batching.requests import PredictGain, Request, Retreat, Step, robot_key_path
+from pgf_jax.physics.config import PHYSICS
+from pgf_jax.physics.engine import Engine, make_engine
+from pgf_jax.planning.config import Cost, Planning
+from pgf_jax.planning.config import Planner as PlannerConfig
+from pgf_jax.planning.planner import BatchPlanner, Rolled, Search
+
+
+class PlannerService:
+    """Engine and planner of one process.
+
+    Args:
+      engine: rolls out L lanes of K rollouts at a time.
+      config: of the planner.
+    """
+
+    def __init__(self, engine: Engine, config: PlannerConfig | None = None) -> None:
+        self.engine = engine
+        self.planner = BatchPlanner(engine, config)
+        self.steps = 0  # iterations computed
+        self.calls = 0  # iteration calls made
+        self.lanes_used = 0  # lanes in them that held work
+        self.seconds = 0.0  # of the wall clock spent in `compute`
+        self.answering_s = 0.0  # that, and what was thought between requests (`crew.drive`)
+        self.warm: list[bool] = []  # shared by copies: whether its programs are compiled
+        self._keys = jax.jit(jax.vmap(_key))
+
+    def occupancy(self) -> tuple[int, int]:
+        """(work whose result was used, work computed) since this was last called.
+
+        In the units of an engine that leaves lanes out and counts what it does; else in lanes of
+        iteration calls.
+        """
+        own = getattr(self.engine, "occupancy", None)
+        used, computed = self.lanes_used, self.calls * self.engine.lanes
+        self.calls = self.lanes_used = 0
+        return (used, computed) if own is None else own()
+
+    def compute(self, requests: Sequence[Request]) -> list[Any]:
+        """Results of requests, in order: a `Search` of each step, a `World` of each retreat.
+
+        A `Gain` gives a float.
+        """
+        start = time.perf_counter()
+        try:
+            return self._compute(requests)
+        finally:
+            self.seconds += time.perf_counter() - start
+
+    def _compute(self, requests: Sequence[Request]) -> list[Any]:
+        results: list[Any] = [None] * len(requests)
+        asked: dict[int, list[int]] = {}  # predictor -> who asked for its gain
+        for i, request in enumerate(requests):
+            if isinstance(request, PredictGain):
+                asked.setdefault(id(request.predictor), []).append(i)
+        for places in asked.values():
+            gains: list[Any] = [requests[i] for i in places]
+            states = np.stack([gain.state for gain in gains])
+            for i, value in zip(places, gains[0].predictor.gain(states), strict=True):
+                results[i] = float(value)
+        steps = [(i, r) for i, r in enumerate(requests) if isinstance(r, Step)]
+        retreats = [(i, r) for i, r in enumerate(requests) if isinstance(r, Retreat)]
+        for part in _parts(retreats, self.engine.lanes):
+            worlds = self.planner.retreat([retreat.search for _, retreat in part])
+            for (i, _), world in zip(part, worlds, strict=True):
+                results[i] = world
+        for part in _parts(steps, self.engine.lanes):
+            after = self._iterate([step for _, step in part])
+            for (i, _), search in zip(part, after, strict=True):
+                results[i] = search
+        return results
+
+    def rolled(self, step: Step) -> tuple[Search, Rolled]:
+        """An iteration, and all that it rolls out; to look at it again, so it counts nowhere."""
+        return self.planner.rolled(step.search, self._keys_of([step])[0])
+
+    def _iterate(self, steps: Sequence[Step]) -> list[Any]:
+        self.calls += 1
+        self.steps += len(steps)
+        self.lanes_used += len(steps)
+        return self.planner.step([step.search for step in steps], self._keys_of(steps))
+
+    def _keys_of(self, steps: Sequence[Step]) -> list[np.ndarray]:
+        words = [step.key_path for step in steps]
+        words += [words[0]] * (self.engine.lanes - len(steps))
+        return list(np.asarray(self._keys(np.array(words, np.uint32)))[: len(steps)])
+
+
+def warm_up(planner_service: PlannerService, search: Search, seed: int) -> float:
+    """One iteration for nobody, so that its compilation is not mistaken for its time.
+
+    Returns:
+      What it took, s: 0 where a computer of this kind has been warmed up before.
+    """
+    if planner_service.warm:
+        return 0.0
+    planner_service.compute([Step(search, robot_key_path(seed, 0, 0, 0)(0))])
+    seconds = planner_service.seconds
+    planner_service.warm.append(True)
+    planner_service.occupancy()
+    planner_service.steps = 0
+    planner_service.seconds = 0.0
+    return seconds
+
+
+def planner_service_of(config: Planning, n_objects: int) -> PlannerService:
+    """A computer for the engine, physics, cost, update and lanes of `config`.
+
+    What it compiles is kept: a second one of the same settings traces nothing again.
+    """
+    planner = PlannerConfig(update=config.update, cost=Cost(variant=config.cost))
+    return make_planner_service(
+        config.engine, config.physics, planner, config.lanes or 1, n_objects
+    )
+
+
+def make_planner_service(
+    engine: str, physics: str, planner: PlannerConfig, lanes: int, n_objects: int
+) -> PlannerService:
+    """A computer with counters of its own; what it compiles is kept for the next of its kind."""
+    return copy.copy(_compiled(engine, physics, planner, lanes, n_objects))
+
+
+@functools.lru_cache(maxsize=8)
+def _compiled(
+    engine: str, physics: str, planner: PlannerConfig, lanes: int, n_objects: int
+) -> PlannerService:
+    return PlannerService(
+        make_engine(engine, physics=PHYSICS[physics], n_objects=n_objects, lanes=lanes), planner
+    )
+
+
+def _key(words: jax.Array) -> jax.Array:
+    key = jax.random.key(0)
+    for word in words:
+        key = jax.random.fold_in(key, word)
+    return jax.random.key_data(key).astype(jnp.uint32)
+
+
+def _parts(items: Sequence, size: int) -> list:
+    return [items[i : i + size] for i in range(0, len(items), size)]

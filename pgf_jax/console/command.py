@@ -1,0 +1,105 @@
+"""`pgf-jax console`: a session with its page, until its tasks are done or it is interrupted."""
+
+import logging
+import signal
+import statistics
+import threading
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.logging import RichHandler
+
+from pgf_jax.console.access_control import AccessControl
+from pgf_jax.console.config import ConsoleConfig
+from pgf_jax.console.page import Page
+from pgf_jax.console.session import Session
+from pgf_jax.console.session_spec import SessionSpec
+from pgf_jax.fleet.metrics import CellSummary
+from pgf_jax.operator_fit.command import service_times
+from pgf_jax.operator_fit.lognormal import ANSWERS
+from pgf_jax.sweeping.report import summary_tables
+
+LOG = "console.log"
+FAREWELL_S = 1.0  # until the page has heard that the session is over
+
+
+def console(config: ConsoleConfig) -> CellSummary:
+    """Run a session.
+
+    Returns:
+      Its summary; its files are in the folder.
+
+    Raises:
+      BadInput: a setting, a file, the folder or the port cannot be used.
+    """
+    spec = SessionSpec.of(config)
+    config = spec.config
+    access = AccessControl(needs_token=config.needs_token)
+    page = Page(
+        config.host,
+        config.port,
+        access,
+        robots=spec.cell.robots,
+        n_objects=spec.setup.n_objects,
+        live=config.operator == "live",
+    )
+    try:
+        session = Session(spec, page.show)
+        _log_to(config.out / LOG)
+        _say(page, access, config)
+        page.open(session)
+        _stop_on_signals(session)
+        session.run()
+        summary = session.record.close()
+        time.sleep(FAREWELL_S)
+    finally:
+        page.close()
+    _conclude(session, config.out, summary)
+    return summary
+
+
+def _say(page: Page, access: AccessControl, config: ConsoleConfig) -> None:
+    """Where it is; the token is said here and nowhere else."""
+    token = "" if access.token is None else f"?token={access.token}"
+    waits = "; the clock starts when an operator has come" if config.operator == "live" else ""
+    print(f"{page.url}{token}{waits}; Ctrl-C ends the session", flush=True)
+
+
+def _conclude(session: Session, out: Path, summary: CellSummary) -> None:
+    Console().print(summary_tables([summary]))
+    services = service_times(session.play.fleet.events).services
+    seconds = [service.seconds for service in services if service.outcome in ANSWERS]
+    took = f" after {statistics.median(seconds):.1f} s (median)" if seconds else ""
+    print(
+        f"{len(seconds)} answers{took}; the clock waited {session.clock.held_s:.1f} s for the "
+        f"computer; results in {out}"
+    )
+
+
+def _log_to(path: Path) -> None:
+    """What concerns clients goes to a file, and what was refused to the terminal as well."""
+    logger = logging.getLogger("pgf_jax.console")
+    logger.setLevel(logging.INFO)
+    file = logging.FileHandler(path)
+    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    shown = RichHandler(level=logging.WARNING, console=Console(stderr=True), show_path=False)
+    for handler in (file, shown):
+        logger.addHandler(handler)
+    # A client's message that makes no sense ends in a task of the server's; one line is enough.
+    for name in ("asyncio", "websockets.server"):
+        other = logging.getLogger(name)
+        other.addHandler(file)
+        other.propagate = False
+
+
+def _stop_on_signals(session: Session) -> None:
+    """Ctrl-C and SIGTERM end the session in order; a second one is the usual one."""
+
+    def stop(number: int, frame: object) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        session.stop()
+
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, stop)

@@ -1,0 +1,233 @@
+"""The desk: who operates, and how a push is picked: object, point, confirmation.
+
+It knows nothing of pages or threads: it is told what a client did, and answers with a word that is
+shown to them. What is refused changes nothing.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from pgf_jax.console.live_operator import InputRequest
+from pgf_jax.guidance.view import View
+from pgf_jax.planning.types import NoInput, Push
+from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
+
+REACH = 1.25  # of an object's radius: how far beside it a click still means it
+CLEARANCE = 1e-3  # m, by which a target may overlap what it touches: nobody clicks so finely
+STEP = 0.01  # m, of a key
+
+
+@dataclasses.dataclass(frozen=True)
+class Feedback:
+    """What a client is told.
+
+    Attributes:
+      text: one line.
+      ok: False: refused.
+      answered: the service has its input.
+    """
+
+    text: str
+    ok: bool = True
+    answered: bool = False
+
+
+class InputPanel:
+    """One operator at a time, and what they have picked for the robot that they serve.
+
+    Attributes:
+      operator: client who operates, None: nobody.
+      asked: the service under way, None: nobody is served.
+      object: picked object, or None.
+      target: [2] picked place, m, or None.
+      problem: why the target cannot be meant, or "".
+    """
+
+    def __init__(self) -> None:
+        self.operator: int | None = None
+        self.asked: InputRequest | None = None
+        self.object: int | None = None
+        self.target: tuple[float, float] | None = None
+        self.problem = ""
+
+    # -- who operates ---------------------------------------------------------------------------
+
+    def take(self, client: int) -> Feedback:
+        """A client wants to operate."""
+        if self.operator == client:
+            return Feedback("You operate already.")
+        if self.operator is not None:
+            return Feedback("Somebody else operates; you can watch.", ok=False)
+        self.operator = client
+        return Feedback("You operate.")
+
+    def leave(self, client: int) -> bool:
+        """A client has gone; whether it was the operator. What they had picked is kept."""
+        if self.operator != client:
+            return False
+        self.operator = None
+        return True
+
+    # -- services -------------------------------------------------------------------------------
+
+    def open(self, asked: InputRequest) -> None:
+        """A robot is served from now on."""
+        self.asked = asked
+        self._clear()
+
+    def close(self) -> None:
+        """The service is over, by whatever."""
+        self.asked = None
+        self._clear()
+
+    def answer(self, given: Push | NoInput | None) -> None:
+        """End the service with an input, or with none."""
+        assert self.asked is not None
+        asked = self.asked
+        self.close()
+        asked.answer(given)
+
+    # -- what the operator does -----------------------------------------------------------------
+
+    def click(self, client: int, robot: int | None, x: float, y: float) -> Feedback:
+        """A click at a place of a robot's shelf (None: beside all shelves), m.
+
+        The first picks an object, the next the place it should come to; another one, another place.
+        """
+        refusal = self._refusal(client)
+        if refusal is not None:
+            return refusal
+        assert self.asked is not None
+        if robot is None:
+            return Feedback("That is no shelf.", ok=False)
+        if robot != self.asked.robot:
+            return Feedback(f"Robot {self.asked.robot} asks, not robot {robot}.", ok=False)
+        if not (np.isfinite(x) and np.isfinite(y)):
+            return Feedback("That is no place.", ok=False)
+        if self.object is None:
+            return self._pick(_object_at(self.asked.view, x, y))
+        problem = target_problem(self.asked.view, self.object, x, y)
+        if problem:
+            return Feedback(problem, ok=False)
+        self.target, self.problem = (float(x), float(y)), ""
+        return Feedback(
+            f"Object {self.object + 1} to here? Confirm (Enter), or click another place."
+        )
+
+    def next_object(self, client: int) -> Feedback:
+        """Pick the next object in the order of their distance from the hand, by keyboard."""
+        refusal = self._refusal(client)
+        if refusal is not None:
+            return refusal
+        assert self.asked is not None
+        order = _from_the_hand(self.asked.view)
+        place = -1 if self.object is None else order.index(self.object)
+        return self._pick(order[(place + 1) % len(order)])
+
+    def nudge(self, client: int, deeper: int, left: int) -> Feedback:
+        """Move the target by steps of `STEP`, by keyboard; it starts at the object."""
+        refusal = self._refusal(client)
+        if refusal is not None:
+            return refusal
+        assert self.asked is not None
+        if self.object is None:
+            return Feedback("Pick an object first (Tab, or click it).", ok=False)
+        x, y = self.target or self.asked.view.objects[self.object]
+        x, y = float(x) + STEP * deeper, float(y) + STEP * left
+        outside = _outside(x, y)
+        if outside:
+            return Feedback(outside, ok=False)
+        # On its way to its place it may cross what no push can end in.
+        self.target, self.problem = (x, y), target_problem(self.asked.view, self.object, x, y)
+        return Feedback(self.problem or "Confirm with Enter.", ok=not self.problem)
+
+    def undo(self, client: int) -> Feedback:
+        """Take back the last thing that was picked."""
+        refusal = self._refusal(client)
+        if refusal is not None:
+            return refusal
+        if self.target is not None:
+            self.target, self.problem = None, ""
+            return Feedback("Place taken back: click where the object should come to.")
+        if self.object is not None:
+            self._clear()
+            return Feedback("Object taken back: click an object.")
+        return Feedback("There is nothing to undo.", ok=False)
+
+    def confirm(self, client: int) -> Feedback:
+        """Give the push that was picked."""
+        refusal = self._refusal(client)
+        if refusal is not None:
+            return refusal
+        if self.object is None or self.target is None:
+            missing = "an object" if self.object is None else "a place for the object"
+            return Feedback(f"Pick {missing} first.", ok=False)
+        if self.problem:
+            return Feedback(self.problem, ok=False)
+        push = Push(self.object, *self.target)
+        self.answer(push)
+        return Feedback(
+            f"Object {push.object + 1} to ({push.x:.3f}, {push.y:.3f}) m.", answered=True
+        )
+
+    def go_on(self, client: int) -> Feedback:
+        """Say "go on reaching"."""
+        refusal = self._refusal(client)
+        if refusal is not None:
+            return refusal
+        self.answer(None)
+        return Feedback("Go on reaching.", answered=True)
+
+    # -- helpers --------------------------------------------------------------------------------
+
+    def _refusal(self, client: int) -> Feedback | None:
+        if client != self.operator:
+            other = "Somebody else operates" if self.operator is not None else "Nobody operates"
+            return Feedback(f"{other}; you watch.", ok=False)
+        if self.asked is None:
+            return Feedback("No robot is being served.", ok=False)
+        return None
+
+    def _pick(self, found: int | None) -> Feedback:
+        if found is None:
+            return Feedback("There is no object there: click an object first.", ok=False)
+        self.object, self.target, self.problem = found, None, ""
+        return Feedback(f"Object {found + 1}: now click where it should come to.")
+
+    def _clear(self) -> None:
+        self.object, self.target, self.problem = None, None, ""
+
+
+def target_problem(view: View, pushed: int, x: float, y: float) -> str:
+    """Why an object cannot be meant to come to (x, y), m; empty if it can."""
+    outside = _outside(x, y)
+    if outside:
+        return outside
+    distance = np.hypot(view.objects[:, 0] - x, view.objects[:, 1] - y)  # [N]
+    distance[pushed] = np.inf
+    nearest = int(np.argmin(distance))
+    if distance[nearest] < 2 * RADIUS - CLEARANCE:
+        return f"Object {nearest + 1} stands there."
+    return ""
+
+
+def _outside(x: float, y: float) -> str:
+    if x < FRONT_X or x > BACK_WALL_X or abs(y) > SIDE_WALL_Y:
+        return "That is outside the shelf."
+    if x > BACK_WALL_X - RADIUS + CLEARANCE or abs(y) > SIDE_WALL_Y - RADIUS + CLEARANCE:
+        return "The object would stand in the wall there."
+    return ""
+
+
+def _object_at(view: View, x: float, y: float) -> int | None:
+    distance = np.hypot(view.objects[:, 0] - x, view.objects[:, 1] - y)  # [N]
+    nearest = int(np.argmin(distance))
+    return nearest if distance[nearest] <= REACH * RADIUS else None
+
+
+def _from_the_hand(view: View) -> list[int]:
+    """Objects by their distance from the hand; the goal last, as it is seldom in the way."""
+    distance = np.hypot(*(view.objects - view.hand[:2]).T)
+    distance[view.goal] = np.inf
+    return [int(i) for i in np.argsort(distance, kind="stable")]

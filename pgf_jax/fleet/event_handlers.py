@@ -1,0 +1,393 @@
+"""What happens at each event of a fleet: to its robots, their tasks and its operators.
+
+`simulator.py` says when: it takes the events from the calendar in time order, once the results that
+they need are there. Here is what each of them brings about: changes of the robots' tasks and of the
+operators, lines of the log, new entries of the calendar and new requests for work.
+"""
+
+import bisect
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from pgf_jax.fleet.allocator import AskOutcome, make_allocator
+from pgf_jax.fleet.compute import ComputeModel
+from pgf_jax.fleet.config import FleetConfig
+from pgf_jax.fleet.event_calendar import (
+    FLEET,
+    OPERATORS,
+    Calendar,
+    EventPriority,
+    ScheduledEvent,
+    nanoseconds,
+)
+from pgf_jax.fleet.events import Event, EventKind
+from pgf_jax.fleet.operator_pool import OperatorPool
+from pgf_jax.fleet.policies import Discipline, make_policy
+from pgf_jax.fleet.records import State, TaskRecord
+from pgf_jax.fleet.robots import IterationResult, Robots, Work, WorkKind
+from pgf_jax.fleet.service import ServiceTimes
+from pgf_jax.fleet.task_run import TaskRun
+from pgf_jax.fleet.work_tracker import WorkTracker
+from pgf_jax.planning.types import NoInput, Push, Status
+
+
+class Attendance(NamedTuple):
+    """An operator comes or leaves."""
+
+    time_ns: int
+    operator: int
+    present: bool
+
+
+def _time(change: Attendance) -> int:
+    return change.time_ns
+
+
+class EventHandlers:
+    """The course of things in one fleet (D4, D7, D8; Alg. 2).
+
+    Attributes:
+      events: the log so far, in order.
+      records: one per task that has ended, in order of their ends.
+      now_ns: simulated time of what happened last, ns.
+      runs: robot -> the task it is at; none before its first.
+      operators: who is there, and busy with whom.
+      starting: robots that start to plan at this instant.
+    """
+
+    def __init__(
+        self,
+        config: FleetConfig,
+        robots: Robots,
+        calendar: Calendar,
+        ledger: WorkTracker,
+        *,
+        service: ServiceTimes,
+        compute: ComputeModel,
+        attendance: Iterable[Attendance],
+    ) -> None:
+        """Put the first events into the calendar; for the arguments see `Fleet`."""
+        self.events: list[Event] = []
+        self.records: list[TaskRecord] = []
+        self.now_ns = 0
+        self.runs: dict[int, TaskRun] = {}
+        self.operators = OperatorPool(config.operators)
+        self.starting: list[int] = []
+        self._config = config
+        self._robots = robots
+        self._calendar = calendar
+        self._work = ledger
+        self._service = service
+        self._compute = compute
+        self._policy = make_policy(config)
+        self._allocator = make_allocator(
+            self._policy.discipline, seed=config.seed, robots=config.robots
+        )
+        self._rollout_ns = nanoseconds(config.rollout_time_s)
+        self._next_task = [0] * config.robots
+        # Still to come; at one instant in the order given.
+        self._attendance = sorted(attendance, key=_time)
+        self._schedule_attendance()
+        for robot in range(config.robots):
+            self._calendar.schedule(0, EventPriority.NEW_TASK, robot)
+
+    # --- events ---------------------------------------------------------------------------------
+
+    def handle(self, due: ScheduledEvent) -> None:
+        """Let an event happen; if it needs a result, the ledger has it."""
+        self.now_ns = due.time_ns
+        result = self._work.consume(due.work)
+        if due.priority is EventPriority.WINDOW_CLOSE:
+            self._on_window_close()
+        elif due.priority is EventPriority.ATTENDANCE:
+            self._on_attendance()
+        elif due.priority is EventPriority.NEW_TASK:
+            self._on_new_task(due.robot)
+        else:
+            run = self.runs[due.robot]
+            if due.priority is EventPriority.EXPIRY:
+                self._on_expiry(run)
+            elif due.priority is EventPriority.SERVICE_END:
+                assert not isinstance(result, IterationResult)
+                self._on_service_end(run, result, expired=due.work is None)
+            elif due.priority is EventPriority.EXECUTION_END:
+                self._on_execution_end(run, retreated=due.work is not None)
+            elif run.checking:
+                self._execute_reach(run)
+            else:
+                assert isinstance(result, IterationResult)
+                self._on_iteration_end(run, result)
+
+    def _on_new_task(self, robot: int) -> None:
+        task = self._next_task[robot]
+        self._next_task[robot] += 1
+        deadline_ns = self.now_ns + nanoseconds(self._config.task_limit_s)
+        run = self.runs[robot] = TaskRun(robot, task, self.now_ns, deadline_ns)
+        self._robots.begin(robot, task)
+        self._log(EventKind.TASK_START, run)
+        self._ask_or_plan(run, self._policy.first_bid(run.progress(self.now_ns)))
+
+    def _on_iteration_end(self, run: TaskRun, result: IterationResult) -> None:
+        iteration = run.work_iterations
+        run.count(result)
+        self._log(
+            EventKind.ITERATION,
+            run,
+            iteration=iteration,
+            gain=result.gain,
+            object=run.push.object if run.push else None,
+            outcome="feasible" if result.feasible else "stuck" if result.stuck else None,
+        )
+        # Feasibility is tested before anything is asked (D4).
+        if result.feasible and run.push is not None:
+            self._execute_push(run)
+        elif result.feasible:
+            run.checking = True
+            self._plan(run)
+        elif run.push is not None:
+            self._plan(run)
+        elif self.now_ns + 2 * self._rollout_ns > run.deadline_ns:
+            # Out of time. It asks nothing: an operator's time would be spent on a robot that has
+            # none left to plan with. (A shared computer may still turn out too slow: see below.)
+            self._end_task(run, run.failure())
+        else:
+            self._ask_or_plan(run, self._policy.bid(result, run.progress(self.now_ns)))
+
+    def _on_window_close(self) -> None:
+        winners, losers = self._allocator.close(free=self.operators.free)
+        self._log(EventKind.WINDOW_CLOSE)
+        for robot in winners:
+            self._grant(self.runs[robot])
+        for robot in losers:
+            self._refuse(self.runs[robot], "lost")
+
+    def _on_attendance(self) -> None:
+        _, operator, present = self._attendance.pop(0)
+        self.operators.attend(operator, present)
+        kind = EventKind.OPERATOR_BACK if present else EventKind.OPERATOR_AWAY
+        self._log(kind, operator=operator)
+        self._schedule_attendance()
+        self._match()
+
+    def _on_expiry(self, run: TaskRun) -> None:
+        self._allocator.withdraw(run.robot)
+        run.expired += 1
+        self._log(EventKind.EXPIRED, run, request=run.request, outcome="limit")
+        self._end_task(run, run.failure())
+
+    def _on_service_end(self, run: TaskRun, given: Push | NoInput | None, *, expired: bool) -> None:
+        operator = self.operators.release(run.robot)
+        ending: dict[str, Any] = {"request": run.request, "operator": operator}
+        if expired:
+            self._work.close(run.robot)
+            run.expired += 1
+            self._log(EventKind.SERVICE_END, run, outcome="expired", **ending)
+            self._end_task(run, run.failure())
+        else:
+            if isinstance(given, Push):
+                ending |= {"object": given.object, "x": given.x, "y": given.y, "outcome": "push"}
+            else:
+                ending["outcome"] = "go_on" if given is None else given.value
+            self._log(EventKind.SERVICE_END, run, **ending)
+            run.answer(given)
+            if isinstance(given, Push):
+                self._robots.start_push(run.robot, given)
+                run.push = given
+                run.push_deadline_ns = self.now_ns + nanoseconds(self._config.push_limit_s)
+                run.pushes_planned += 1
+                run.new_segment()
+            elif run.nominal_done:
+                self._robots.go_on(run.robot)
+                run.stuck = False
+                run.since_restart = 0
+            self._plan(run)
+        self._match()
+
+    def _on_execution_end(self, run: TaskRun, *, retreated: bool) -> None:
+        if run.push is None:
+            self._log(EventKind.EXECUTION_END, run, outcome="reach")
+            self._end_task(run, Status.SOLVED)
+        elif not retreated:
+            self._log(EventKind.EXECUTION_END, run, object=run.push.object, outcome="push")
+            retreat = Work(run.robot, run.task, WorkKind.RETREAT, run.work_iterations)
+            end_ns = self.now_ns + nanoseconds(self._config.retreat_s)
+            self._calendar.schedule(end_ns, EventPriority.EXECUTION_END, run.robot, retreat)
+        else:
+            self._log(EventKind.RETREAT_END, run, object=run.push.object)
+            run.push = None
+            run.new_segment()
+            self._plan(run)
+
+    # --- what robots do next --------------------------------------------------------------------
+
+    def _plan(self, run: TaskRun) -> None:
+        """Start the next iteration, or the final check, once this instant is over.
+
+        Not at once: A, the number of robots planning, must not depend on which of the robots that
+        start at one instant is dealt with first.
+        """
+        self._calendar.cancel(run.robot)  # a waiting robot's expiry
+        run.enter(State.PLANNING, self.now_ns)
+        self.starting.append(run.robot)
+
+    def start_iterations(self) -> None:
+        """Let those in `starting` start, now that this instant is over."""
+        starting, self.starting = sorted(self.starting), []
+        planning = sum(run.state is State.PLANNING for run in self.runs.values())  # A
+        for robot in starting:
+            self._start_iteration(self.runs[robot], planning)
+
+    def _start_iteration(self, run: TaskRun, planning: int) -> None:
+        slowdown = self._compute.slowdown(run.robot, run.task, run.work_iterations, planning)
+
+        def ends(rollouts: int) -> int:
+            # At least 1 ns, so that the clock advances whatever a compute model says.
+            return self.now_ns + max(1, round(rollouts * self._rollout_ns * slowdown))
+
+        if run.checking:
+            # The winner rolled out once more: time, but no new outcome. It runs on the same
+            # computer as the iterations, so it is slowed like them; no limit stops it.
+            self._calendar.schedule(ends(1), EventPriority.ITERATION_END, run.robot)
+            return
+        # Iteration 0 is the nominal's rollout; a further one K in parallel, then the winner's own.
+        end_ns = ends(2 if run.nominal_done else 1)
+        if run.push is not None and end_ns > min(run.push_deadline_ns, run.deadline_ns):
+            self._log(EventKind.PUSH_DROPPED, run, object=run.push.object)
+            self._robots.drop_push(run.robot)
+            run.push = None
+            run.new_segment()
+            end_ns = ends(1)
+        if end_ns > run.deadline_ns:
+            self._end_task(run, run.failure())
+            return
+        work = Work(run.robot, run.task, WorkKind.ITERATION, run.work_iterations)
+        self._request(work, end_ns)
+        self._calendar.schedule(end_ns, EventPriority.ITERATION_END, run.robot, work)
+
+    def _execute_push(self, run: TaskRun) -> None:
+        run.successful_grants_at.append(run.grants_at[-1])
+        run.enter(State.EXECUTING, self.now_ns)
+        end_ns = self.now_ns + nanoseconds(self._config.push_execution_s)
+        retreat_ns = nanoseconds(self._config.retreat_s)
+        # The limit is on planning, waiting and interaction (D4): execution puts it off.
+        run.deadline_ns += nanoseconds(self._config.push_execution_s) + retreat_ns
+        # Asked for now, needed when reaching restarts: it shares the batch of these four seconds.
+        work = Work(run.robot, run.task, WorkKind.RETREAT, run.work_iterations)
+        self._request(work, end_ns + retreat_ns)
+        self._calendar.schedule(end_ns, EventPriority.EXECUTION_END, run.robot)
+
+    def _execute_reach(self, run: TaskRun) -> None:
+        run.checking = False
+        run.enter(State.EXECUTING, self.now_ns)
+        end_ns = self.now_ns + nanoseconds(self._config.reach_execution_s)
+        self._calendar.schedule(end_ns, EventPriority.EXECUTION_END, run.robot)
+
+    def _end_task(self, run: TaskRun, status: Status) -> None:
+        self.records.append(run.record(status, self.now_ns))
+        self._log(EventKind.TASK_END, run, outcome=status)
+        more = self._next_task[run.robot] < self._config.tasks
+        # A task that starts at the horizon would only be cut off.
+        if more and self.now_ns < self._calendar.last_ns:
+            self._calendar.schedule(self.now_ns, EventPriority.NEW_TASK, run.robot)
+
+    def censor(self, horizon_ns: int) -> None:
+        """The horizon has passed: what still runs is cut off there."""
+        self.now_ns = horizon_ns
+        for robot, run in sorted(self.runs.items()):
+            if run.state is State.IDLE:
+                continue
+            cut = {"request": run.request, "outcome": "censored"}
+            if run.state in (State.IN_WINDOW, State.IN_LINE):
+                self._log(EventKind.EXPIRED, run, **cut)
+            elif run.state is State.SERVED:
+                operator = self.operators.release(robot)
+                self._log(EventKind.SERVICE_END, run, operator=operator, **cut)
+            self._end_task(run, Status.CENSORED)
+        self._work.clear()
+
+    # --- asks and operators (Alg. 2) ------------------------------------------------------------
+
+    def _ask_or_plan(self, run: TaskRun, bid: float | None) -> None:
+        free = self.operators.free
+        reply = AskOutcome.IGNORED
+        if bid is not None:
+            reply = self._allocator.ask(run.robot, bid, free=free)
+        if bid is None or reply is AskOutcome.IGNORED:
+            self._plan(run)
+            return
+        if reply is AskOutcome.OPENS:
+            self._log(EventKind.WINDOW_OPEN, run)
+            close_ns = self.now_ns + nanoseconds(self._config.window_s)
+            self._calendar.schedule(close_ns, EventPriority.WINDOW_CLOSE, FLEET)
+        run.requests += 1
+        if run.first_bid is None:
+            run.first_bid = run.reach_iterations
+        iteration = run.work_iterations - 1 if run.work_iterations else None
+        self._log(EventKind.BID, run, request=run.request, iteration=iteration, gain=bid)
+        if reply is AskOutcome.REFUSED:
+            self._refuse(run, "busy")
+            return
+        windows = self._policy.discipline is Discipline.WINDOW
+        run.enter(State.IN_WINDOW if windows else State.IN_LINE, self.now_ns)
+        self._calendar.schedule(run.deadline_ns, EventPriority.EXPIRY, run.robot)
+        self._match()
+
+    def _match(self) -> None:
+        for robot in self._allocator.match(free=self.operators.free):
+            self._grant(self.runs[robot])
+
+    def _refuse(self, run: TaskRun, outcome: str) -> None:
+        run.refusals += 1
+        self._log(EventKind.REFUSED, run, request=run.request, outcome=outcome)
+        self._plan(run)
+
+    def _grant(self, run: TaskRun) -> None:
+        operator, switched = self.operators.acquire(run.robot)
+        run.grants_at.append(run.reach_iterations)
+        self._log(EventKind.GRANT, run, request=run.request, operator=operator)
+        seconds = self._service.seconds(run.robot, run.task, run.request)
+        if switched and seconds is not None:
+            seconds += self._config.context_switch_s
+        run.enter(State.SERVED, self.now_ns)
+        if seconds is None:
+            self._work.request(self._input(run), is_open=True)
+            self._calendar.schedule(run.deadline_ns, EventPriority.SERVICE_END, run.robot)
+            return
+        end_ns = self.now_ns + nanoseconds(seconds)
+        # A service that would outlast the task's limit ends there, without an input: the robot has
+        # no time left to use one, and the operator is free for the others. An input that comes at
+        # the limit itself is in time.
+        work = None
+        if end_ns <= run.deadline_ns:
+            work = self._input(run)
+            self._request(work, end_ns)
+        self._calendar.schedule(
+            min(end_ns, run.deadline_ns), EventPriority.SERVICE_END, run.robot, work
+        )
+
+    @staticmethod
+    def _input(run: TaskRun) -> Work:
+        return Work(run.robot, run.task, WorkKind.INPUT, run.work_iterations, run.request)
+
+    def attend(self, change: Attendance) -> None:
+        """Note a change that is still to come."""
+        bisect.insort(self._attendance, change, key=_time)
+        self._schedule_attendance()
+
+    def _schedule_attendance(self) -> None:
+        if self._attendance:
+            self._calendar.schedule(
+                self._attendance[0].time_ns, EventPriority.ATTENDANCE, OPERATORS
+            )
+
+    # --- small helpers --------------------------------------------------------------------------
+
+    def _request(self, work: Work, needed_ns: int) -> None:
+        """Ask for work, unless the horizon comes before its result is needed."""
+        if needed_ns <= self._calendar.last_ns:
+            self._work.request(work)
+
+    def _log(self, kind: EventKind, run: TaskRun | None = None, **columns) -> None:
+        if run is not None:
+            columns.update(robot=run.robot, task=run.task)
+        self.events.append(Event(self.now_ns, kind, **columns))

@@ -1,0 +1,61 @@
+"""What an operator sees of a robot."""
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:  # the planner needs JAX, and the command line lists the operators
+    from pgf_jax.planning.planner import Search
+
+
+DecisionKey = tuple[int, int, int, int]  # seed, robot, task, iterations of the task that have ended
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """What an operator sees of a robot: the shelf as it is, and the best trajectory so far.
+
+    Attributes:
+      objects: [N, 2] centres now, m.
+      goal: index of the goal.
+      hand: [3] hand pose now: base x, y (m), yaw (rad).
+      gripper: 0 open .. 255 closed, now.
+      path: [T, N, 2] centres at the knot ends of the best rollout, m; the present ones T times
+        while nothing has been rolled out.
+      hands: [T, 3] hand poses there.
+      force: [T, C] contact forces there, N.
+      bodies: [T, C, 2] who touches whom: 0..N-1 an object, N the hand, N+1 a wall.
+      terms: [5] the best trajectory's c_d, c_f, c_b, c_e, c_s; inf before the first rollout.
+      request: number of this input in its task, 0-based.
+      dropped: pushes given since the shelf last changed that the planner could not do.
+    """
+
+    objects: np.ndarray
+    goal: int
+    hand: np.ndarray
+    gripper: float
+    path: np.ndarray
+    hands: np.ndarray
+    force: np.ndarray
+    bodies: np.ndarray
+    terms: np.ndarray
+    request: int
+    dropped: int
+
+    @classmethod
+    def of(cls, search: "Search", request: int = 0, dropped: int = 0) -> "View":
+        """What there is to see of a search."""
+        return cls(
+            objects=np.asarray(search.start.objects),
+            goal=int(search.task.goal),
+            hand=np.asarray(search.start.hand),
+            gripper=float(search.start.gripper),
+            path=np.asarray(search.best.objects),
+            hands=np.asarray(search.best.hand),
+            force=np.asarray(search.best.force),
+            bodies=np.asarray(search.best.bodies),
+            terms=np.asarray(search.value.terms),
+            request=request,
+            dropped=dropped,
+        )

@@ -1,0 +1,284 @@
+"""The files of a sweep's results, each against what others say of it."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pgf_jax.errors import BadInput
+from pgf_jax.files import MIB, read_file, read_json, sha256
+from pgf_jax.fleet.config import Cell
+from pgf_jax.fleet.metrics import summarise
+from pgf_jax.sweeping import cell_store
+from pgf_jax.sweeping.cell_store import MANIFEST, RESULTS, RUN, config_of, differences
+from pgf_jax.sweeping.config import INPUTS
+from pgf_jax.sweeping.summary import csv, paired_frame, summary_frame
+from pgf_jax.tables import results
+
+_ALONE = "nothing stands beside it of how it came about"
+_LARGEST_FILE = 2048 * MIB
+# A manifest has these of its cells, too.
+_COMMON = ("format", "seed", "engine", "lanes", "planner", "versions", "device")
+
+
+class Finding(NamedTuple):
+    """Something that is not as it was written.
+
+    Attributes:
+      path: of the file.
+      what: truncated, edited, duplicate, foreign, missing; and why.
+    """
+
+    path: Path
+    what: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Checked:
+    """What is in a folder.
+
+    Attributes:
+      findings: what is wrong.
+      sound: the cells that are as they were written: file -> content.
+      complete: whether the sweep was finished: there is a manifest.
+    """
+
+    findings: tuple[Finding, ...]
+    sound: Mapping[Path, cell_store.Content]
+    complete: bool
+
+
+def check_files(out: Path) -> Checked:
+    """Look at every file of a folder of results.
+
+    Raises:
+      BadInput: it is none.
+    """
+    if not (out / cell_store.FOLDER).is_dir():
+        raise BadInput(f"{out}: holds no results of a sweep (no folder {cell_store.FOLDER})")
+    findings: list[Finding] = []
+    sound = _cells(out, findings)
+    manifest = _manifest(out, findings)
+    if manifest is None:
+        sound = _of_one_sweep(sound, findings)
+        for name in RESULTS:
+            if (out / name).exists():
+                findings.append(Finding(out / name, f"foreign: without a {MANIFEST}"))
+    else:
+        sound = _against_manifest(out, manifest, sound, findings)
+        _merged(out, manifest, sound, findings)
+    known = {*RESULTS, MANIFEST, RUN, cell_store.FOLDER}
+    for path in sorted(out.iterdir()):
+        if path.name not in known:
+            findings.append(Finding(path, "foreign: no sweep writes it"))
+    return Checked(tuple(findings), sound, manifest is not None)
+
+
+def _cells(out: Path, findings: list[Finding]) -> dict[Path, cell_store.Content]:
+    """The sound cells, by file; the others are found."""
+    folder = out / cell_store.FOLDER
+    sound: dict[Path, cell_store.Content] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix == ".parquet" and path.is_file() and not path.name.startswith("."):
+            try:
+                data = cell_store.check(path)
+                content = cell_store.decode(data, path)
+            except BadInput as error:
+                findings.append(Finding(path, _reason(path, error)))
+                continue
+            if not cell_store.sidecar(path).exists():
+                findings.append(Finding(path, f"foreign: {_ALONE}"))
+            name = cell_store.key(content.about["identity"])
+            if name == path.stem:
+                sound[path] = content
+            elif cell_store.path(out, name).exists():
+                findings.append(Finding(path, f"duplicate: it is the cell of {name}.parquet"))
+            else:
+                findings.append(Finding(path, f"edited or renamed: it says it is {name}"))
+        elif path.suffix == ".json" and cell_store.is_key(path.stem):
+            if not path.with_suffix(".parquet").exists():
+                findings.append(Finding(path, "foreign: without the cell that it is about"))
+        else:
+            findings.append(Finding(path, "foreign: no finished sweep leaves it"))
+    return sound
+
+
+def _reason(path: Path, error: BadInput) -> str:
+    """What is wrong with a cell that cannot be read."""
+    words = str(error).removeprefix(f"{path}: ")
+    if not cell_store.sidecar(path).exists():
+        words = f"foreign: {_ALONE}, and it is no cell ({words})"
+    elif words.startswith("truncated or edited"):
+        length = cell_store.read_account(path).get("bytes")
+        found = path.stat().st_size
+        if isinstance(length, int) and found < length:
+            return f"truncated: {found} of {length} bytes"
+        return "edited: its digest is not the one that stands beside it"
+    return words
+
+
+def _manifest(out: Path, findings: list[Finding]) -> dict[str, Any] | None:
+    if not (out / MANIFEST).exists():
+        return None
+    try:
+        manifest = read_json(out / MANIFEST)
+        listed = [(cell["file"], cell["sha256"], cell["policy"]) for cell in manifest["cells"]]
+        named = [manifest["files"][name] for name in RESULTS]
+        if not all(isinstance(text, str) for row in (*listed, named) for text in row):
+            raise TypeError
+        # A name that is none of a cell's may lead anywhere.
+        names = [(file, Path(file).stem) for file, *_ in listed]
+        good = (cell_store.is_key(key) and out / f == cell_store.path(out, key) for f, key in names)
+        if not names or not all(good):
+            raise KeyError
+        return manifest
+    except BadInput as error:
+        findings.append(Finding(out / MANIFEST, str(error).removeprefix(f"{out / MANIFEST}: ")))
+    except (KeyError, TypeError):
+        findings.append(Finding(out / MANIFEST, "edited: it does not list cells and files"))
+    return None
+
+
+def _of_one_sweep(
+    sound: Mapping[Path, cell_store.Content], findings: list[Finding]
+) -> dict[Path, cell_store.Content]:
+    """Of an unfinished sweep's cells: those with the settings that most have."""
+
+    def common(content: cell_store.Content) -> str:
+        settings = content.about.get("config")
+        own = ("robots", "policies", "tasks")
+        shared = settings if isinstance(settings, dict) else {}
+        return str({name: value for name, value in shared.items() if name not in own})
+
+    counts = Counter(map(common, sound.values()))
+    usual = counts.most_common(1)[0][0] if counts else ""
+    ours = {}
+    for path, content in sound.items():
+        if common(content) == usual:
+            ours[path] = content
+        else:
+            findings.append(Finding(path, "foreign: of another configuration than the others"))
+    return ours
+
+
+def _against_manifest(
+    out: Path,
+    manifest: Mapping[str, Any],
+    sound: Mapping[Path, cell_store.Content],
+    findings: list[Finding],
+) -> dict[Path, cell_store.Content]:
+    listed = {out / cell["file"]: cell for cell in manifest["cells"]}
+    for path, cell in listed.items():
+        if not path.exists():
+            findings.append(Finding(path, f"missing: {MANIFEST} lists it"))
+        elif path in sound and sha256(path.read_bytes()) != cell["sha256"]:
+            findings.append(Finding(path, f"edited: its digest is not the one in {MANIFEST}"))
+    ours = {}
+    for path, content in sound.items():
+        if path not in listed:
+            findings.append(Finding(path, f"foreign: {MANIFEST} does not list it"))
+            continue
+        said = _said(manifest, listed[path])
+        words = differences({name: _of_cell(content.about, name) for name in said}, said)
+        if words:
+            findings.append(Finding(out / MANIFEST, f"edited: of {path.name} {words}"))
+        ours[path] = content
+    return ours
+
+
+def _said(manifest: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any]:
+    """What a manifest says of a cell."""
+    said = {name: manifest.get(name) for name in _COMMON}
+    versions = said["versions"]
+    if isinstance(versions, dict):  # an identity has those that decide
+        said["versions"] = {
+            n: v for n, v in versions.items() if n not in ("python", "flax", "numpy")
+        }
+    config = manifest.get("config")
+    if isinstance(config, dict):
+        # Those two are None where the sweep was to choose; and a cell has not all fleets.
+        chosen = {n for n in ("scene_class", "lanes") if config.get(n) is None}
+        left_out = {*INPUTS, "robots", "policies", "tasks"} | chosen
+        said |= {f"config.{n}": value for n, value in config.items() if n not in left_out}
+    return said | {name: cell.get(name) for name in ("policy", "robots", "tasks")}
+
+
+def _of_cell(about: Mapping[str, Any], name: str) -> Any:
+    """What a cell says itself."""
+    place, within = about["identity"], name
+    if name.startswith("config."):
+        place, within = about.get("config"), name.removeprefix("config.")
+    elif name in ("policy", "robots", "tasks", "seed"):
+        place = place.get("fleet")
+    return place.get(within) if isinstance(place, dict) else None
+
+
+def _merged(
+    out: Path,
+    manifest: Mapping[str, Any],
+    sound: Mapping[Path, cell_store.Content],
+    findings: list[Finding],
+) -> None:
+    """The merged files, against the manifest and against the cells they were merged from."""
+    whole = all(out / cell["file"] in sound for cell in manifest["cells"])
+    expected = _remade(out, manifest, sound) if whole else {}
+    for name in RESULTS:
+        path = out / name
+        try:
+            data = read_file(path, "results of a sweep", _LARGEST_FILE)
+        except BadInput as error:
+            words = str(error).removeprefix(f"{path}: ")
+            findings.append(Finding(path, f"missing: {words}" if not path.exists() else words))
+            continue
+        if sha256(data) != manifest["files"][name]:
+            findings.append(Finding(path, f"edited: its digest is not the one in {MANIFEST}"))
+        elif name in expected and not _is(expected[name], path, data):
+            findings.append(Finding(path, "edited: it does not follow from the cells"))
+
+
+@np.errstate(all="ignore")  # of times that no sweep has, but an edited cell may
+def _remade(
+    out: Path, manifest: Mapping[str, Any], sound: Mapping[Path, cell_store.Content]
+) -> dict[str, Any]:
+    """The merged tables, from the cells; nothing where these make none."""
+    try:
+        tables = {}
+        for listed in manifest["cells"]:
+            cell = Cell(listed["policy"], listed["robots"], listed["tasks"])
+            tables[cell] = sound[out / listed["file"]]
+        records = {cell: results.task_records(content.tasks) for cell, content in tables.items()}
+        summaries = []
+        for cell, content in tables.items():
+            config = config_of(content, {"log": "recorded"} if _replayed(content) else {}, out)
+            log = results.event_log(content.events)
+            summaries.append(summarise(config.fleet(cell), records[cell], log))
+    except (BadInput, KeyError, TypeError, ZeroDivisionError):
+        return {}
+    merged = {
+        name: results.merge([(cell, getattr(content, name)) for cell, content in tables.items()])
+        for name in cell_store.TABLES
+    }
+    return {
+        "tasks.parquet": merged["tasks"],
+        "events.parquet": merged["events"],
+        "summary.csv": csv(summary_frame(summaries)),
+        "paired.csv": csv(paired_frame(results.paired_differences(records))),
+    }
+
+
+def _replayed(content: cell_store.Content) -> bool:
+    settings = content.about.get("config")
+    return isinstance(settings, dict) and settings.get("operator") == "replay"
+
+
+def _is(expected: Any, path: Path, data: bytes) -> bool:
+    if isinstance(expected, bytes):
+        return expected == data
+    schema = results.MERGED_TASK_SCHEMA if path.stem == "tasks" else results.MERGED_EVENT_SCHEMA
+    try:
+        return results.read_results(path, schema).equals(expected)
+    except BadInput:
+        return False

@@ -1,0 +1,265 @@
+"""Plans and their files: `DIR/NAME.plan.json`, what a robot would execute and what it took.
+
+Numbers that are not finite (the cost of a rollout that diverged) are null in a file.
+"""
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pgf_jax.errors import BadInput, short_repr
+from pgf_jax.files import MIB, parse_json, read_file, write_atomically
+from pgf_jax.planning.types import Status
+from pgf_jax.provenance import environment
+from pgf_jax.scene.scene import Scene
+from pgf_jax.simulation.planned_robots import Segment
+
+TERMS = ("c_d", "c_f", "c_b", "c_e", "c_s")
+SUFFIX = ".plan.json"
+_LARGEST = 16 * MIB  # of a file; a plan takes some 100 kB
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Plan:
+    """A scene's plan, solved or not. Times are simulated, in s.
+
+    Attributes:
+      scene: what was planned.
+      status: how the task ended.
+      seed: of the noise and of service times.
+      engine, lanes, physics, cost_variant, update, operator, ask: settings, as in `PlanConfig`.
+      segments: the pushes executed (each is followed by the retreat, which every executor knows),
+        then the best reach from the state they leave, feasible or not.
+      cost: c_d, c_f, c_b, c_e, c_s and total of that reach.
+      history: (c_d, c_f, c_b) of the best trajectory after every reach iteration of the task,
+        iteration 0 of each segment included.
+      history_starts: rows of `history` that are such an iteration 0.
+      iterations: of reaching and pushing, iteration 0s not counted.
+      reach_iterations: those of reaching.
+      planning_time_s: iterations, first rollouts, the final check and window waits.
+      waiting_s: in windows and in line.
+      interaction_s: being served.
+      execution_s: executing pushes, retreats and the reach.
+      pushes: executed.
+      requests, grants: asks made, and services begun.
+      non_finite: iterations in which some rollout's cost was not finite.
+    """
+
+    scene: Scene
+    status: Status
+    seed: int
+    engine: str
+    lanes: int
+    physics: str
+    cost_variant: str
+    update: str
+    operator: str
+    ask: str
+    segments: tuple[Segment, ...]
+    cost: Mapping[str, float]
+    history: np.ndarray  # [I, 3]
+    history_starts: tuple[int, ...]
+    iterations: int
+    reach_iterations: int
+    planning_time_s: float
+    waiting_s: float
+    interaction_s: float
+    execution_s: float
+    pushes: int
+    requests: int
+    grants: int
+    non_finite: int
+
+    @property
+    def solved(self) -> bool:
+        """Whether the reach is feasible."""
+        return self.status is Status.SOLVED
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of the plan's file."""
+        plain = {field: getattr(self, field) for field in _PLAIN}
+        return {
+            "scene": self.scene.name,
+            "status": str(self.status),
+            **plain,
+            "objects": self.scene.objects.tolist(),
+            "goal": self.scene.goal,
+            "segments": [
+                {
+                    "kind": segment.kind,
+                    "duration_s": float(segment.duration_s),
+                    "controls": np.asarray(segment.controls, np.float64).tolist(),
+                    "gripper": np.asarray(segment.gripper, np.float64).tolist(),
+                }
+                for segment in self.segments
+            ],
+            "cost": {name: _or_null(value) for name, value in self.cost.items()},
+            "history": [[_or_null(term) for term in row] for row in self.history.tolist()],
+            "history_starts": list(self.history_starts),
+        }
+
+
+_TEXTS = ("engine", "physics", "cost_variant", "update", "operator", "ask")
+_COUNTS = ("seed", "lanes", "iterations", "reach_iterations", "pushes", "requests", "grants")
+_COUNTS = (*_COUNTS, "non_finite")
+_TIMES = ("planning_time_s", "waiting_s", "interaction_s", "execution_s")
+_PLAIN = (*_TEXTS, *_COUNTS, *_TIMES)
+
+
+def plan_path(folder: Path | str, scene: str) -> Path:
+    """Where the plan of a scene lies in a folder.
+
+    Raises:
+      BadInput: the scene's name would lead elsewhere.
+    """
+    if scene in ("", ".", "..") or "/" in scene or "\0" in scene:
+        raise BadInput(f"scene: expected a name that a file can have, got {short_repr(scene)}")
+    return Path(folder) / f"{scene}{SUFFIX}"
+
+
+def save_plan(folder: Path | str, plan: Plan) -> Path:
+    """Write `folder/NAME.plan.json`, whole or not at all; returns its path.
+
+    Beside the plan it says what made it: versions, commit, processor.
+
+    Raises:
+      BadInput: it cannot be written there.
+    """
+    path = plan_path(folder, plan.scene.name)
+    content = plan.to_json() | {"made_by": environment()}
+    write_atomically(path, (json.dumps(content, allow_nan=False) + "\n").encode())
+    return path
+
+
+def load_plan(path: Path | str) -> Plan:
+    """Read a plan's file and check all of it; null numbers come back as inf.
+
+    Raises:
+      BadInput: one line that names the file: missing, truncated, or with a field that is missing or
+        wrong.
+    """
+    path = Path(path)
+    data = read_file(path, f"a plan ({SUFFIX})", _LARGEST)
+    try:
+        content = parse_json(data)
+    except ValueError as error:
+        raise BadInput(f"{path}: truncated or malformed, not a plan ({SUFFIX})") from error
+    try:
+        return _from_json(content)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None
+
+
+def _from_json(content: Any) -> Plan:
+    if not isinstance(content, dict):
+        raise BadInput(f"expected a mapping of a plan's fields, got {short_repr(content)}")
+    plan_path("", _get(content, "scene", str))  # it names the file that this is written to again
+    status = _get(content, "status", str)
+    if status not in list(Status):
+        raise BadInput(f"status: expected one of {', '.join(Status)}, got {status!r}")
+    plain: dict[str, Any] = {field: _get(content, field, str) for field in _TEXTS}
+    for field in _COUNTS:
+        plain[field] = _get(content, field, int)
+        if plain[field] < 0:
+            raise BadInput(f"{field}: expected 0 or more, got {plain[field]}")
+    for field in _TIMES:
+        plain[field] = _seconds(content, field)
+        if not 0.0 <= plain[field] < math.inf:
+            raise BadInput(f"{field}: expected seconds, 0 or more, got {plain[field]}")
+    scene = Scene(
+        _get(content, "scene", str), _get(content, "objects", list), _get(content, "goal", int)
+    )
+    segments = tuple(
+        _segment(segment, f"segments[{i}]")
+        for i, segment in enumerate(_get(content, "segments", list))
+    )
+    kinds = [segment.kind for segment in segments]
+    pushes = plain["pushes"]  # any number: nothing may be made as long as it says
+    if len(kinds) != pushes + 1 or kinds[-1] != "reach" or "reach" in kinds[:-1]:
+        raise BadInput(f"segments: expected {pushes} pushes and a reach, got {short_repr(kinds)}")
+    cost = _get(content, "cost", dict)
+    if set(cost) != {*TERMS, "total"}:
+        raise BadInput(f"cost: expected {', '.join(TERMS)} and total, got {short_repr(list(cost))}")
+    values = _numbers(list(cost.values()), (len(cost),), "cost", null=True)
+    history = _get(content, "history", list)
+    starts = _get(content, "history_starts", list)
+    if not all(type(start) is int and 0 <= start < len(history) for start in starts):
+        raise BadInput(f"history_starts: expected rows of history, got {short_repr(starts)}")
+    return Plan(
+        scene=scene,
+        status=Status(status),
+        segments=segments,
+        cost=dict(zip(cost, values.tolist(), strict=True)),
+        history=_numbers(history, (len(history), 3), "history", null=True),
+        history_starts=tuple(starts),
+        **plain,
+    )
+
+
+def _segment(segment: Any, name: str) -> Segment:
+    if not isinstance(segment, dict):
+        raise BadInput(f"{name}: expected a mapping, got {short_repr(segment)}")
+    kind = _get(segment, "kind", str, name)
+    if kind not in ("push", "reach"):
+        raise BadInput(f"{name} kind: expected push or reach, got {kind!r}")
+    duration = _seconds(segment, "duration_s", name)
+    if not 0.0 < duration < math.inf:
+        raise BadInput(f"{name} duration_s: expected a positive number, got {duration}")
+    controls = _get(segment, "controls", list, name)
+    if not controls:
+        raise BadInput(f"{name} controls: expected [T, 3] with one knot or more, got none")
+    gripper = _numbers(
+        _get(segment, "gripper", list, name), (len(controls),), f"{name} gripper", null=False
+    )
+    if not ((gripper >= 0) & (gripper <= 255)).all():
+        raise BadInput(f"{name} gripper: expected 0 (open) .. 255 (closed), got {gripper.tolist()}")
+    return Segment(
+        kind,
+        duration,
+        _numbers(controls, (len(controls), 3), f"{name} controls", null=False),
+        gripper,
+    )
+
+
+def _get(content: dict[str, Any], field: str, kind: Any, within: str = "") -> Any:
+    name = f"{within} {field}".strip()
+    if field not in content:
+        raise BadInput(f"{name}: missing")
+    value = content[field]
+    if not isinstance(value, kind) or isinstance(value, bool):
+        expected = getattr(kind, "__name__", str(kind))
+        raise BadInput(f"{name}: expected {expected}, got {short_repr(value)}")
+    return value
+
+
+def _seconds(content: dict[str, Any], field: str, within: str = "") -> float:
+    value = _get(content, field, int | float, within)
+    try:
+        return float(value)
+    except OverflowError:  # a whole number of hundreds of digits
+        return math.inf
+
+
+def _numbers(values: list, shape: tuple[int, ...], name: str, *, null: bool) -> np.ndarray:
+    """float64 of `shape`; nulls, where they are allowed, become inf."""
+    try:
+        # numpy reads a null as nan; an empty list has lost the axes after its first.
+        array = np.array(values, dtype=np.float64) if values else np.empty(shape)
+    except (TypeError, ValueError, OverflowError):  # a whole number may be too large for a float
+        raise BadInput(
+            f"{name}: expected numbers {list(shape)}, got {short_repr(values)}"
+        ) from None
+    if array.shape != shape:
+        raise BadInput(f"{name}: expected shape {list(shape)}, got {list(array.shape)}")
+    if not null and not np.isfinite(array).all():
+        raise BadInput(f"{name}: expected finite numbers")
+    return np.where(np.isnan(array), np.inf, array) if null else array
+
+
+def _or_null(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,108 @@
+"""Where a number comes from: versions, code, processor; and the host, which is not to matter."""
+
+import functools
+import hashlib
+import importlib.metadata
+import os
+import platform
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+
+PACKAGES = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "numpy")
+# Results of another release of these may differ in the last bits, and then in everything.
+DECISIVE = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx")
+
+
+@functools.cache
+def versions() -> dict[str, str]:
+    """Of Python and of the packages that results depend on."""
+    packages = {name: importlib.metadata.version(name) for name in PACKAGES}
+    return {"python": platform.python_version()} | packages
+
+
+@functools.cache
+def device() -> str:
+    """What JAX computes on: backend and kind."""
+    return f"{jax.default_backend()}: {jax.devices()[0].device_kind}"
+
+
+@functools.cache
+def processor() -> str:
+    """The type of the processor: on one type, results are the same to the last bit."""
+    name = platform.processor()
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                name = line.partition(":")[2].strip()
+                break
+    except OSError:  # not Linux
+        pass
+    return f"{name or 'unknown'} ({platform.machine()}, {sys.byteorder} endian)"
+
+
+@functools.cache
+def code() -> dict[str, Any]:
+    """The code that runs: its commit, where it is known, and a digest of it, which always is.
+
+    Returns:
+      `git`: see `git_commit`; `source_sha256`: of the package's modules, their names included.
+    """
+    package = Path(__file__).resolve().parent
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        content = path.read_bytes()
+        digest.update(f"{path.relative_to(package).as_posix()}\0{len(content)}\0".encode())
+        digest.update(content)
+    return {"git": git_commit(package.parent), "source_sha256": digest.hexdigest()}
+
+
+def git_commit(root: Path) -> dict[str, Any] | None:
+    """The commit checked out in a folder, and whether its files differ from it; None if unknown."""
+    if not (root / ".git").exists():  # installed: a repository around it would be another one
+        return None
+    try:
+        commit, status = (
+            subprocess.run(
+                ["git", "-C", str(root), *words],
+                capture_output=True,
+                text=True,
+                check=True,
+                timeout=10,
+            ).stdout
+            # Not files that git does not know: results may be among them, and come and go.
+            for words in (["rev-parse", "HEAD"], ["status", "--porcelain", "-uno"])
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return {"commit": commit.strip(), "modified": bool(status.strip())}
+
+
+def environment() -> dict[str, Any]:
+    """All of these that may decide on results, as JSON."""
+    return {
+        "versions": versions(),
+        "device": device(),
+        "processor": processor(),
+        "code": code(),
+    }
+
+
+def kind() -> dict[str, str]:
+    """What a worker must have in common with whoever asks it, for the same results to come out."""
+    decisive = {name: versions()[name] for name in DECISIVE}
+    return {**decisive, "device": device(), "source": code()["source_sha256"]}
+
+
+def host() -> dict[str, Any]:
+    """The computer, and the process."""
+    return {
+        "name": socket.gethostname(),
+        "pid": os.getpid(),
+        "platform": platform.platform(),
+        "cpus": os.cpu_count(),
+    }

@@ -1,0 +1,180 @@
+"""`render`: from a plan or a recorded session to a picture or a film."""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+
+from pgf_jax.errors import BadInput
+from pgf_jax.fleet.records import State
+from pgf_jax.render import fleet_view, movie
+from pgf_jax.render.config import RenderConfig
+from pgf_jax.render.view import View, make_view
+from pgf_jax.simulation.snapshot import FleetSnapshot, RobotSnapshot
+
+_LOOK_NS = 250_000_000  # how closely a recording is searched for the first service
+
+Size = tuple[int, int]
+Draw = Callable[[Size, View], np.ndarray]
+
+
+def render(config: RenderConfig) -> str:
+    """Draw what `config` asks for and write it; returns a line that says what was written.
+
+    Raises:
+      BadInput: the plan or the recording cannot be read or does not hold what is asked for, the
+        view cannot be drawn, or the file cannot be written.
+    """
+    if not config.file.exists():
+        what = "a plan (NAME.plan.json)" if config.what == "plan" else "a recorded session"
+        raise BadInput(f"{config.file}: no such file, expected {what}")
+    if config.is_film:
+        movie.check_films()
+    with closing(make_view(config.view)) as view:
+        if not config.is_film:
+            movie.write_picture(config.out, _picture(config)(config.size, view))
+            return f"{config.out}: {config.size[0]} x {config.size[1]} pixels"
+        draws, total = _film(config)
+        size = movie.even(config.size)
+        frames = (draw(size, view) for draw in draws)
+        count = movie.write_film(config.out, frames, config.fps, total=total)
+    return (
+        f"{config.out}: {count} frames of {size[0]} x {size[1]} pixels, "
+        f"{count / config.fps:.1f} s of film"
+    )
+
+
+def _picture(config: RenderConfig) -> Draw:
+    """What draws the one picture."""
+    if config.what == "plan":
+        motion = _motion(config.file)
+        time_s = motion.duration_s if config.at is None else config.at
+        if time_s > motion.duration_s:
+            raise BadInput(
+                f"{config.file}: ends after {motion.duration_s:.3f} s, expected --at within it, "
+                f"got {time_s:g}"
+            )
+        return _draw_plan(motion.at(time_s))
+    if config.at is not None:
+        at_ns = _ns(config.at)
+        fleet = next(iter(_recorded(config, every_ns=_LOOK_NS, start_ns=at_ns)), None)
+        if fleet is None:
+            raise BadInput(f"{config.file}: ends before --at {config.at:g} s")
+        if config.what == "fleet":
+            return _draw_fleet(fleet)
+        robot = _robot(fleet, config)
+        if not _on_task(robot, config):
+            raise BadInput(
+                f"{config.file}: robot {config.robot} is not at its task {config.task} at "
+                f"{config.at:g} s, but at {robot.task} ({robot.state})"
+            )
+        return _draw_robot(robot, fleet.tasks)
+    return _first_served(config)
+
+
+def _first_served(config: RenderConfig) -> Draw:
+    """The first moment of a service; where there is none the last moment."""
+    draw: Draw | None = None
+    if config.what == "fleet":
+        for fleet in _recorded(config, every_ns=_LOOK_NS):
+            draw = _draw_fleet(fleet)
+            if fleet.serving is not None:
+                break
+    else:
+        for robot, tasks in _task(config, every_ns=_LOOK_NS):
+            draw = _draw_robot(robot, tasks)
+            if robot.state is State.SERVED:
+                break
+    if draw is None:
+        raise BadInput(f"{config.file}: holds nothing to draw")
+    return draw
+
+
+def _film(config: RenderConfig) -> tuple[Iterator[Draw], int | None]:
+    """What draws each frame, and how many there are where that is known."""
+    step_s = config.speed / config.fps
+    if config.what == "plan":
+        motion = _motion(config.file)
+        times = (step_s, config.start, config.stop)
+        frames = map(_draw_plan, motion.film(*times))
+        return frames, motion.frames(*times)
+    span = {"every_ns": max(_ns(step_s), 1), "start_ns": _ns(config.start)}
+    stop_ns = None if config.stop is None else _ns(config.stop)
+    if config.what == "task":
+        return (
+            _draw_robot(robot, tasks) for robot, tasks in _task(config, **span, stop_ns=stop_ns)
+        ), None
+    total = None
+    if config.stop is not None:
+        total = math.floor((config.stop - config.start) / step_s + 1e-9) + 1
+    return (_draw_fleet(fleet) for fleet in _recorded(config, **span, stop_ns=stop_ns)), total
+
+
+def _draw_fleet(fleet: FleetSnapshot) -> Draw:
+    return lambda size, view: fleet_view.draw(fleet, size, view)
+
+
+def _draw_robot(robot: RobotSnapshot, tasks: int) -> Draw:
+    return lambda size, view: fleet_view.draw_one(robot, size, view, tasks=tasks)
+
+
+def _draw_plan(robot: RobotSnapshot) -> Draw:
+    """Under its scene's name: a plan's robot has no number."""
+    return lambda size, view: fleet_view.draw_one(robot, size, view, name=robot.scene)
+
+
+def _motion(path: Path):
+    from pgf_jax.plans.file import load_plan
+    from pgf_jax.render.motion import Motion
+
+    return Motion(load_plan(path))
+
+
+def _recorded(
+    config: RenderConfig, *, every_ns: int, start_ns: int = 0, stop_ns: int | None = None
+) -> Iterator[FleetSnapshot]:
+    from pgf_jax.sweeping import replay
+
+    return replay.snapshots(config.file, every_ns=every_ns, start_ns=start_ns, stop_ns=stop_ns)
+
+
+def _task(
+    config: RenderConfig, *, every_ns: int, start_ns: int = 0, stop_ns: int | None = None
+) -> Iterator[tuple[RobotSnapshot, int]]:
+    """One task of one robot: its snapshots, and how many tasks each robot has."""
+    began = False
+    fleets = _recorded(config, every_ns=every_ns, start_ns=start_ns, stop_ns=stop_ns)
+    for fleet in fleets:
+        robot = _robot(fleet, config)
+        if config.task >= fleet.tasks:
+            raise BadInput(
+                f"{config.file}: expected --task within 0..{fleet.tasks - 1}, got {config.task}"
+            )
+        if _on_task(robot, config):
+            began = True
+            yield robot, fleet.tasks
+        elif began or robot.task > config.task:
+            break
+    if not began:
+        raise BadInput(
+            f"{config.file}: robot {config.robot} is not at its task {config.task} in that time"
+        )
+
+
+def _robot(fleet: FleetSnapshot, config: RenderConfig) -> RobotSnapshot:
+    if config.robot >= len(fleet.robots):
+        raise BadInput(
+            f"{config.file}: expected --robot within 0..{len(fleet.robots) - 1}, got {config.robot}"
+        )
+    return fleet.robots[config.robot]
+
+
+def _on_task(robot: RobotSnapshot, config: RenderConfig) -> bool:
+    """A robot that has done all its tasks is at none."""
+    return robot.task == config.task and robot.state is not State.IDLE
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)

@@ -1,1 +1,0 @@
-"""Studies: data collection, sweeps, results on disk and figures."""

@@ -1,0 +1,142 @@
+"""Replays recorded sessions."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pgf_jax.errors import BadInput, short_repr
+from pgf_jax.fleet.events import Event, EventKind
+from pgf_jax.simulation.planned_robots import Robot
+from pgf_jax.simulation.recorded_operator import REPLAY, Recording
+from pgf_jax.simulation.runner import FleetRunner
+from pgf_jax.simulation.snapshot import FleetSnapshot
+from pgf_jax.sweeping.config import SweepConfig
+from pgf_jax.sweeping.resolve import prepare
+from pgf_jax.tables.event_log import EventLog, first_difference, read_log
+
+
+def replay(
+    path: Path | str, *, on_task_end: Callable[[int, Robot], None] | None = None
+) -> tuple[FleetRunner, EventLog]:
+    """A recorded session, at its beginning, and its log.
+
+    Raises:
+      BadInput: it is no session's log, or its settings cannot be used here.
+    """
+    log = read_log(path)
+    config = replaying(SweepConfig(operator=REPLAY, log=Path(path)), log)
+    setup = prepare(config)
+    (cell,) = config.cells()
+    return FleetRunner.of(setup, cell, on_task_end=on_task_end), log
+
+
+def snapshots(
+    path: Path | str, *, every_ns: int, start_ns: int = 0, stop_ns: int | None = None
+) -> Iterator[FleetSnapshot]:
+    """What there was to see in a recorded session, at regular times.
+
+    Args:
+      path: its log.
+      every_ns: simulated time from one to the next, ns.
+      start_ns, stop_ns: simulated times of the first, and of the last at most; None: the end.
+
+    Raises:
+      BadInput: as in `replay`; or, at the end, the session went another way here.
+    """
+    play, log = replay(path)
+    time_ns = start_ns
+    while stop_ns is None or time_ns <= stop_ns:
+        play.run_until(time_ns)
+        yield play.watch.snapshot(time_ns)
+        if play.fleet.done:
+            break
+        time_ns += every_ns
+    if play.fleet.done:
+        difference = compare(play.fleet.events, log)
+        if difference is not None:
+            raise BadInput(difference)
+
+
+# -- settings ------------------------------------------------------------------------------------
+
+_OWN = ("operator", "log", "out", "resume", "workers")  # of a replay itself
+
+
+def settings_of(config: Any) -> dict[str, Any]:
+    """The settings of a fleet (a dataclass), as JSON has them."""
+    settings = dataclasses.asdict(config)
+    return {name: _plain(value) for name, value in settings.items() if name not in _OWN}
+
+
+def replaying(config: SweepConfig, log: EventLog) -> SweepConfig:
+    """The configuration of the recorded fleet, to be replayed.
+
+    Args:
+      config: settings that it does not have to name again; those that it does must agree.
+      log: the recording.
+
+    Raises:
+      BadInput: the log does not say what it was recorded with, or a setting differs from it.
+    """
+    recorded = log.settings
+    if recorded is None:
+        raise BadInput(f"{log.path}: does not say its settings, expected the log of a session")
+    values = agreed(settings_of(config), settings_of(SweepConfig()), recorded, log.path)
+    try:
+        replay = dataclasses.replace(config, **values)
+        (cell,) = replay.cells()
+    except (BadInput, TypeError, ValueError) as error:
+        raise BadInput(f"{log.path}: settings that cannot be used: {error}") from None
+    recording = Recording.of(log)
+    for change in recording.attendance:
+        if change.operator >= replay.operators:
+            raise BadInput(
+                f"{log.path}: operator {change.operator} of {replay.operators} leaves or comes back"
+            )
+    ended = sum(event.kind is EventKind.TASK_END for event in log.events)
+    cut = any(event.outcome == "censored" for event in log.events)
+    if cut or ended < cell.robots * cell.tasks:
+        # It was stopped, or its server was killed: nothing is known of what came after.
+        # At the horizon itself no task begins, which one may have done at a kill.
+        replay = dataclasses.replace(replay, horizon=(recording.end_ns + (not cut)) / 1e9)
+    return replay
+
+
+def agreed(
+    ours: Mapping[str, Any], defaults: Mapping[str, Any], recorded: Mapping[str, Any], path: Path
+) -> dict[str, Any]:
+    """Recorded settings, where ours are the same or not given.
+
+    Raises:
+      BadInput: one that is given differs, or the log lacks one.
+    """
+    for name, value in ours.items():
+        if name not in recorded:
+            raise BadInput(f"{path}: its settings lack {name}")
+        if value != defaults[name] and value != recorded[name]:
+            raise BadInput(
+                f"{name}: {short_repr(value)}, but {path} was recorded with "
+                f"{short_repr(recorded[name])}; leave it out"
+            )
+    return {name: recorded[name] for name in ours}
+
+
+def compare(events: list[Event], log: EventLog) -> str | None:
+    """Where a replay went another way than its log, in words; None: nowhere."""
+    number = first_difference(events, log.events)
+    if number is None:
+        return None
+    versions = log.about.get("identity", {}).get("versions", {}).items()
+    return f"{log.path}: the replay differs from event {number + 1} on; it was recorded with " + (
+        ", ".join(f"{name} {version}" for name, version in versions) or "other versions"
+    )
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, tuple):
+        return list(value)
+    return value if not isinstance(value, float) or math.isfinite(value) else str(value)

@@ -1,0 +1,244 @@
+"""Results of a sweep: `tasks.parquet`, `events.parquet`, `summary.csv`, `paired.csv`.
+
+A cell's tables (`cells.py`) hold one row for each `TaskRecord` (by robot and task) and each `Event`
+(as they happened); the merged files hold those of all cells, with the columns `policy` and `robots`
+before them. What does not apply is null. Nothing in them depends on how fast the computer was.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pgf_jax.errors import BadInput, short_repr
+from pgf_jax.files import read_file
+from pgf_jax.fleet.config import Cell
+from pgf_jax.fleet.events import Event, EventKind
+from pgf_jax.fleet.metrics import paired_difference
+from pgf_jax.fleet.records import TaskRecord
+from pgf_jax.planning.types import Status
+from pgf_jax.sweeping.summary import PAIRED, Paired
+from pgf_jax.tables.parquet import LARGEST, decode_table, encode_table
+
+_COLUMNS = {int: pl.Int64(), float: pl.Float64(), str: pl.String()}
+
+
+_CELL_COLUMNS: dict[str, pl.DataType] = {"policy": pl.String(), "robots": pl.Int64()}
+
+
+EVENT_SCHEMA: dict[str, pl.DataType] = {
+    "time_ns": pl.Int64(),
+    "kind": pl.String(),
+    "robot": pl.Int64(),
+    "task": pl.Int64(),
+    "request": pl.Int64(),
+    "operator": pl.Int64(),
+    "iteration": pl.Int64(),
+    "gain": pl.Float64(),
+    "object": pl.Int64(),
+    "x": pl.Float64(),
+    "y": pl.Float64(),
+    "outcome": pl.String(),
+}
+
+
+# The fields of a TaskRecord, its scene after its task and its terms by name.
+_OTHER_TYPES: dict[str, dict[str, pl.DataType]] = {
+    "task": {"task": pl.Int64(), "scene": pl.String()},
+    "status": {"status": pl.String()},
+    "first_bid": {"first_bid": pl.Int64()},
+    "first_grant": {"first_grant": pl.Int64()},
+    "grants_at": {"grants_at": pl.List(pl.Int64())},
+    "successful_grants_at": {"successful_grants_at": pl.List(pl.Int64())},
+    "asked_cost": {"asked_cost": pl.List(pl.Float64())},
+    "helped_cost": {"helped_cost": pl.List(pl.Float64())},
+    "non_finite_at": {"non_finite_at": pl.List(pl.Int64())},
+    "terms": {"c_d": pl.Float64(), "c_f": pl.Float64(), "c_b": pl.Float64()},
+}
+
+
+TASK_SCHEMA: dict[str, pl.DataType] = {
+    column: dtype
+    for field in dataclasses.fields(TaskRecord)
+    for column, dtype in (
+        _OTHER_TYPES.get(field.name) or {field.name: _COLUMNS[field.type]}  # pyright: ignore[reportArgumentType]
+    ).items()
+}
+
+
+MERGED_TASK_SCHEMA = _CELL_COLUMNS | TASK_SCHEMA
+
+
+MERGED_EVENT_SCHEMA = _CELL_COLUMNS | EVENT_SCHEMA
+
+
+_TERMS = ("c_d", "c_f", "c_b")
+
+
+_COUNTS = ("grants_at", "successful_grants_at", "non_finite_at")
+
+
+_COSTS = ("asked_cost", "helped_cost")
+
+
+_OPTIONAL = {"first_bid", "first_grant", "cost", *_TERMS}
+
+
+# -- rows --------------------------------------------------------------------------------------
+
+
+def tasks_frame(
+    records: Iterable[TaskRecord], scene_name: Callable[[int, int], str]
+) -> pl.DataFrame:
+    """Task records as a table, by robot and task.
+
+    Args:
+      records: of one fleet, in any order.
+      scene_name: (robot, task) -> name of the scene.
+    """
+    rows = []
+    for record in sorted(records, key=lambda r: (r.robot, r.task)):
+        row = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
+        row |= dict(zip(_TERMS, row.pop("terms"), strict=True))
+        row |= {name: _null(row[name]) for name in ("cost", *_TERMS)}
+        row |= {name: list(row[name]) for name in _COUNTS}
+        row |= {name: list(map(_null, row[name])) for name in _COSTS}
+        rows.append(row | {"status": record.status.value, "scene": scene_name(*_key(record))})
+    return pl.DataFrame(rows, schema=TASK_SCHEMA)
+
+
+def task_records(tasks: pl.DataFrame) -> list[TaskRecord]:
+    """The records that `tasks_frame` made a table of."""
+    records = []
+    for row in tasks.select(list(TASK_SCHEMA)).drop("scene").iter_rows(named=True):
+        terms = [row.pop(name) for name in _TERMS]
+        row["terms"] = tuple(map(_nan, terms))
+        row["cost"] = _nan(row["cost"])
+        row["status"] = Status(row["status"])
+        row |= {name: tuple(row[name]) for name in _COUNTS}
+        row |= {name: tuple(map(_nan, row[name])) for name in _COSTS}
+        records.append(TaskRecord(**row))
+    return records
+
+
+def events_frame(events: Iterable[Event]) -> pl.DataFrame:
+    """An event log as a table, in its order; a gain that is not known yet (nan) is null."""
+    rows = [
+        (*event[:1], event.kind.value, *event[2:7], _null(event.gain), *event[8:11], _text(event))
+        for event in events
+    ]
+    return pl.DataFrame(rows, schema=EVENT_SCHEMA, orient="row")
+
+
+def event_log(events: pl.DataFrame) -> list[Event]:
+    """The events that `events_frame` made a table of; an unknown gain is None."""
+    rows = events.select(list(EVENT_SCHEMA)).iter_rows()
+    return [Event(time_ns, EventKind(kind), *rest) for time_ns, kind, *rest in rows]
+
+
+def merge(frames: Sequence[tuple[Cell, pl.DataFrame]]) -> pl.DataFrame:
+    """One table of all cells, the cell's columns first."""
+    return pl.concat(
+        frame.select(
+            pl.lit(cell.policy, pl.String()).alias("policy"),
+            pl.lit(cell.robots, pl.Int64()).alias("robots"),
+            pl.all(),
+        )
+        for cell, frame in frames
+    )
+
+
+def _key(record: TaskRecord) -> tuple[int, int]:
+    return record.robot, record.task
+
+
+def _null(value: float | None) -> float | None:
+    return None if value is None or math.isnan(value) else value
+
+
+def _nan(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _text(event: Event) -> str | None:
+    return None if event.outcome is None else str(event.outcome)  # a Status becomes its value
+
+
+def paired_differences(records: Mapping[Cell, Sequence[TaskRecord]]) -> list[Paired]:
+    """Paired differences of every two policies at every fleet size, the earlier minus the later."""
+    return [
+        Paired(
+            ours.robots,
+            ours.policy,
+            theirs.policy,
+            name,
+            paired_difference(records[ours], records[theirs], value),
+        )
+        for ours, theirs in itertools.combinations(records, 2)
+        if ours.robots == theirs.robots
+        for name, value in PAIRED.items()
+    ]
+
+
+# -- files -------------------------------------------------------------------------------------
+
+
+def parquet(frame: pl.DataFrame, about: Mapping[str, Any] | None = None) -> bytes:
+    """A Parquet file, with where it comes from; the same table gives the same bytes."""
+    return encode_table(frame, about)
+
+
+def read_results(path: Path | str, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
+    """Read a results file (Parquet) and check its columns.
+
+    Args:
+      path: the file.
+      schema: what it should hold: `MERGED_TASK_SCHEMA`, `EVENT_SCHEMA` ...
+
+    Returns:
+      The table with the schema's columns, in its order.
+
+    Raises:
+      BadInput: one line that names the file: missing, truncated, corrupt, or of other columns.
+    """
+    path = Path(path)
+    return _decode(_read(path, LARGEST), path, schema)
+
+
+def _read(path: Path, most: int) -> bytes:
+    return read_file(path, "results of a sweep", most)
+
+
+def _decode(data: bytes, path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
+    return conform(decode_table(data, path)[0], path, schema)
+
+
+def conform(frame: pl.DataFrame, path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
+    """The schema's columns of a table, in its order.
+
+    Raises:
+      BadInput: one line that names the file, and the column: not there, of another type, or with
+        what does not make a row.
+    """
+    for column, dtype in schema.items():
+        if frame.schema.get(column) != dtype:
+            found = frame.schema.get(column, "nothing")
+            raise BadInput(f"{path}: column {column} must be {dtype}, got {found}")
+    # A record has no place for a null but in these; an event has, but in its time and kind.
+    needed = ("time_ns", "kind", *_CELL_COLUMNS) if "kind" in schema else set(schema) - _OPTIONAL
+    for column in schema:
+        nulls = frame[column].null_count()
+        if column in _COUNTS:
+            nulls += frame[column].list.eval(pl.element().is_null()).list.any().sum()
+        if nulls and column in needed:
+            raise BadInput(f"{path}: {column} is missing in {nulls} rows")
+    for column, kinds in (("kind", EventKind), ("status", Status)):
+        unknown = set(frame[column].unique()) - set(kinds) if column in schema else ()
+        if unknown:
+            what = "kind of event" if column == "kind" else column
+            raise BadInput(f"{path}: unknown {what} {short_repr(min(unknown))}")
+    return frame.select(list(schema))

@@ -1,0 +1,208 @@
+"""Collected runs, written down and on disk: what the predictors are trained on.
+
+A *run* is one scene planned once: `runs.parquet` holds one row for each iteration of each run,
+`DIR/autonomous/runs.parquet` of runs without help and `DIR/human/runs.parquet` of runs with it.
+The columns, none of which may be null:
+
+| column | type | meaning |
+|---|---|---|
+| scene | String | the scene's name; what the 80/20 split keeps together |
+| seed | Int64 | the planner's seed; (scene, seed) names a run |
+| class | String | the scene's class: tight, medium, wide, or what the collector calls it |
+| n_objects | Int64 | N, the same in all of a run |
+| segment | Int64 | 0, 1, ... over the run: the first reach, a push, the reach after it, ... |
+| kind | String | `reach` or `push`, the same in all of a segment |
+| iteration | Int64 | 0, 1, ... over the run, iteration 0 of every segment included |
+| c_d, c_f, c_b | Float64 | terms of the best trajectory so far; in a push, c_d holds c_h |
+| feasible | Boolean | the best trajectory so far is feasible; in a reach: the run is solved |
+| asked_before | Boolean | human input was given right before this iteration |
+
+The first row of a segment is its iteration 0, the nominal's rollout. The three kinds of human
+input can be told apart by what follows `asked_before`: a push segment that ends feasible, one that
+does not (dropped), or the same reach segment continued (go on reaching). Input that no iteration
+followed, because the time was up, had no effect and leaves no mark. Terms that are not finite are
+allowed (a rollout that blew up is data); rows that would need them are skipped and counted.
+"""
+
+import enum
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pgf_jax.errors import BadInput
+from pgf_jax.tables.parquet import check_columns, read_table, write_table
+
+RUN_SCHEMA: dict[str, pl.DataType] = {
+    "scene": pl.String(),
+    "seed": pl.Int64(),
+    "class": pl.String(),
+    "n_objects": pl.Int64(),
+    "segment": pl.Int64(),
+    "kind": pl.String(),
+    "iteration": pl.Int64(),
+    "c_d": pl.Float64(),
+    "c_f": pl.Float64(),
+    "c_b": pl.Float64(),
+    "feasible": pl.Boolean(),
+    "asked_before": pl.Boolean(),
+}
+RUN = ("scene", "seed")  # names a run
+
+
+class Mode(enum.StrEnum):
+    """What was collected."""
+
+    AUTONOMOUS = "autonomous"
+    HUMAN = "human"
+    FORKS = "forks"
+
+
+def runs_path(data_dir: Path | str, mode: Mode) -> Path:
+    """Where the runs of this mode, or the forks, lie in a folder of collected data."""
+    name = "forks.parquet" if mode == Mode.FORKS else "runs.parquet"
+    return Path(data_dir) / mode / name
+
+
+class RunLog:
+    """One run, written down iteration by iteration.
+
+    Call `begin_segment` before each segment's iteration 0, `add` at the end of each iteration, and
+    `input_given` when human input arrives: before `begin_segment("push")` where it is a push,
+    before the next `add` where it is "go on reaching".
+    """
+
+    def __init__(self, *, scene: str, seed: int, scene_class: str, n_objects: int) -> None:
+        self._run = {"scene": scene, "seed": seed, "class": scene_class, "n_objects": n_objects}
+        self._segment = -1
+        self._kind = ""
+        self._asked = False
+        self._rows: list[dict[str, object]] = []
+
+    def begin_segment(self, kind: str) -> None:
+        """The next iteration is iteration 0 of a new segment, a `reach` or a `push`."""
+        if kind not in ("reach", "push"):
+            raise BadInput(f"a segment is a reach or a push, got {kind!r}")
+        self._segment += 1
+        self._kind = kind
+
+    def input_given(self) -> None:
+        """Human input was given now, before the next iteration."""
+        self._asked = True
+
+    def add(self, terms: Sequence[float], *, feasible: bool) -> None:
+        """An iteration has ended.
+
+        Args:
+          terms: (c_d, c_f, c_b) of the best trajectory so far; in a push (c_h, c_f, c_b).
+          feasible: that trajectory is feasible.
+        """
+        if self._segment < 0:
+            raise RuntimeError("begin_segment comes before the first iteration")
+        c_d, c_f, c_b = (float(term) for term in terms)
+        self._rows.append(
+            {
+                **self._run,
+                "segment": self._segment,
+                "kind": self._kind,
+                "iteration": len(self._rows),
+                "c_d": c_d,
+                "c_f": c_f,
+                "c_b": c_b,
+                "feasible": bool(feasible),
+                "asked_before": self._asked,
+            }
+        )
+        self._asked = False
+
+    def frame(self) -> pl.DataFrame:
+        """The run so far, one row an iteration, in the columns of `runs.parquet`."""
+        return pl.DataFrame(self._rows, schema=RUN_SCHEMA)
+
+
+def write_runs(
+    path: Path | str, frames: Iterable[pl.DataFrame], about: Mapping[str, Any] | None = None
+) -> None:
+    """Write runs (each a `RunLog.frame()`) as one file, ordered by scene, seed and iteration.
+
+    Args:
+      path: the file.
+      frames: the runs.
+      about: where they come from, for the file's metadata.
+
+    Raises:
+      BadInput: the frames are not valid runs, or the file cannot be written.
+    """
+    frames = list(frames)
+    if not frames:
+        raise BadInput(f"{path}: there are no runs to write")
+    frame = check_runs(pl.concat(frames), str(path))
+    write_table(path, frame, about)
+
+
+def read_runs(path: Path | str, *, mode: Mode | None = None) -> pl.DataFrame:
+    """Read and check a `runs.parquet`.
+
+    Args:
+      path: the file.
+      mode: what it should hold; `autonomous` refuses runs with human input.
+
+    Returns:
+      The runs, ordered by scene, seed and iteration; columns that are not ours are left out.
+
+    Raises:
+      BadInput: the file is missing, not a whole Parquet file, empty, lacks a column, or holds
+        something that is not a run.
+    """
+    frame = read_table(path, RUN_SCHEMA, "collected runs")
+    frame = check_runs(frame, str(path))
+    if mode == Mode.AUTONOMOUS:
+        check_unhelped(frame, str(path))
+    return frame
+
+
+def check_runs(frame: pl.DataFrame, name: str) -> pl.DataFrame:
+    """The frame's runs in canonical order and columns, or BadInput with `name` in the message."""
+    frame = check_columns(frame, RUN_SCHEMA, name)
+    frame = frame.sort([*RUN, "iteration"], maintain_order=True)
+
+    first = pl.int_range(pl.len()).over(*RUN) == 0
+    step = pl.col("segment").diff().over(*RUN)
+    continued = ~first & (step == 0)
+    before = pl.col("kind").shift(1).over(*RUN)
+    rules = {
+        "kind must be reach or push": ~pl.col("kind").is_in(["reach", "push"]),
+        "n_objects must be at least 1": pl.col("n_objects") < 1,
+        "n_objects must be the same in all of a run": pl.col("n_objects").n_unique().over(*RUN) > 1,
+        "the iterations of a run must be 0, 1, 2, ...": pl.col("iteration")
+        != pl.int_range(pl.len()).over(*RUN),
+        "the segments of a run must be 0, 1, 2, ...": pl.when(first)
+        .then(pl.col("segment") != 0)
+        .otherwise(~step.is_in([0, 1])),
+        "a segment must be all reach or all push": continued & (pl.col("kind") != before),
+        "a push must begin with human input": (pl.col("kind") == "push")
+        & ~continued
+        & ~pl.col("asked_before"),
+        "cost terms must not be negative": pl.min_horizontal("c_d", "c_f", "c_b") < 0,
+        "human input is not given while pushing": pl.col("asked_before") & (before == "push"),
+    }
+    for rule, broken in rules.items():
+        offending = frame.filter(broken)
+        if len(offending):
+            row = offending.row(0, named=True)
+            raise BadInput(
+                f"{name}: {rule}; broken by scene {row['scene']}, seed {row['seed']}, "
+                f"iteration {row['iteration']} (segment {row['segment']}, {row['kind']})"
+            )
+    return frame
+
+
+def check_unhelped(frame: pl.DataFrame, name: str) -> None:
+    """Raise BadInput, with `name` in the message, where a run has human input in it."""
+    helped = frame.filter(pl.col("asked_before") | (pl.col("kind") == "push"))
+    if len(helped):
+        raise BadInput(
+            f"{name}: scene {helped['scene'][0]} has human input at iteration "
+            f"{helped['iteration'][0]}, expected runs without help"
+        )

@@ -1,0 +1,169 @@
+"""Training of the predictors on a folder of collected data (Papallas & Dogar 2022, Alg. 3)."""
+
+import dataclasses
+import hashlib
+import io
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import polars as pl
+from matplotlib.figure import Figure
+
+from pgf_jax.errors import BadInput
+from pgf_jax.files import write_atomically
+from pgf_jax.guidance.predictors import checkpoint as ckpt
+from pgf_jax.tables.forks import read_forks
+from pgf_jax.tables.runs import Mode, read_runs, runs_path
+from pgf_jax.training.config import TrainConfig
+from pgf_jax.training.fit import Trained, fit
+from pgf_jax.training.rows import Rows, autonomous_rows, failure_rows, gain_rows, human_rows
+
+FIGURE = "fig3.png"
+
+
+@dataclasses.dataclass(frozen=True)
+class Recipe:
+    """How a network is trained.
+
+    Attributes:
+      mode: the data that it needs.
+      read: reads its file.
+      rows: makes rows of it.
+      settings: what differs from the configuration.
+      optional: left out where its data are not there.
+    """
+
+    mode: Mode
+    read: Callable[[Path], pl.DataFrame]
+    rows: Callable[[pl.DataFrame], Rows]
+    settings: dict[str, Any] = dataclasses.field(default_factory=dict)
+    optional: bool = False
+
+
+def _read_autonomous(path: Path) -> pl.DataFrame:
+    return read_runs(path, mode=Mode.AUTONOMOUS)
+
+
+BEST = {"members": 15, "hidden": (32, 16)}
+RECIPES = {
+    "phi_auto": Recipe(Mode.AUTONOMOUS, _read_autonomous, autonomous_rows),
+    "phi_human": Recipe(Mode.HUMAN, read_runs, human_rows),
+    "failure": Recipe(Mode.AUTONOMOUS, _read_autonomous, failure_rows, {"loss": "logistic"}),
+    "gain": Recipe(Mode.FORKS, read_forks, gain_rows, BEST, optional=True),
+}
+
+
+def train(data_dir: Path | str, out_dir: Path | str, config: TrainConfig) -> dict[str, Any]:
+    """Train all networks on collected data and write what comes of it.
+
+    Args:
+      data_dir: holds `autonomous/runs.parquet` and `human/runs.parquet`, and, for `gain`,
+        `forks/forks.parquet`.
+      out_dir: gets a checkpoint of each network and `fig3.png` once all are trained.
+      config: settings; what a network has of its own (`RECIPES`) comes before them.
+
+    Returns:
+      For each network: runs (scenes with data), scenes (with rows), rows, rows left out
+      (`non_finite`, `short`), `loss_train`, `loss_val`, `target_std_val`, `epochs`, `best_epoch`
+      and `data_sha256`; and the list of `files`. Plain numbers and strings, fit for JSON.
+
+    Raises:
+      BadInput: a file is missing or malformed, or has rows of fewer than two scenes.
+    """
+    rows: dict[str, Rows] = {}
+    report: dict[str, Any] = {}
+    for network, recipe in RECIPES.items():
+        path = runs_path(data_dir, recipe.mode)
+        if recipe.optional and not path.exists():
+            continue
+        frame = recipe.read(path)
+        rows[network] = recipe.rows(frame)
+        scenes = len(np.unique(rows[network].scene))
+        if scenes < 2:
+            raise BadInput(
+                f"{path}: rows from {scenes} scenes, expected at least 2 "
+                f"(training and validation share none)"
+            )
+        report[network] = {
+            "runs": frame.select("scene", "seed").n_unique(),
+            "data_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        }
+
+    out = Path(out_dir)
+    results = {network: fit_network(network, rows[network], config) for network in rows}
+    for network, done in results.items():
+        report[network] |= report_of(done, rows[network])
+        save(out, network, done, report[network], config)
+    pair = {network: done for network, done in results.items() if network in ckpt.PAIR}
+    write_atomically(out / FIGURE, draw_losses({name: [done] for name, done in pair.items()}))
+    names = [*(ckpt.checkpoint_name(network) for network in results), FIGURE]
+    report["files"] = [str(out / name) for name in names]
+    return report
+
+
+def fit_network(network: str, rows: Rows, config: TrainConfig) -> Trained:
+    """Train one network by its recipe; the seed of `config` decides all that is drawn."""
+    settings = dataclasses.replace(config, **RECIPES[network].settings)
+    key = jax.random.fold_in(jax.random.key(config.seed), ckpt.NETWORKS.index(network))
+    return fit(key, rows, settings)
+
+
+def report_of(done: Trained, rows: Rows) -> dict[str, Any]:
+    """Counts and figures of a trained network, fit for JSON; see `train`."""
+    return {
+        "scenes": done.scenes_train + done.scenes_val,
+        "rows": len(rows.target),
+        "non_finite": rows.non_finite,
+        "short": rows.short,
+        "loss_train": done.kept_train,
+        "loss_val": done.kept_val,
+        "target_std_val": done.target_std_val,
+        "epochs": len(done.loss_val),
+        "best_epoch": done.best_epoch,
+    }
+
+
+def save(
+    out: Path, network: str, done: Trained, about: dict[str, Any], config: TrainConfig
+) -> None:
+    """Write the checkpoint of a network; `about` as in `train`."""
+    settings = dataclasses.replace(config, **RECIPES[network].settings)
+    figures = ("loss_train", "loss_val", "target_std_val", "epochs", "best_epoch")
+    checkpoint = ckpt.Checkpoint(
+        network=network,
+        predictor=done.predictor,
+        data_sha256=about["data_sha256"],
+        scenes=about["scenes"],
+        rows=about["rows"],
+        config={name: str(value) for name, value in dataclasses.asdict(settings).items()},
+        figures={name: float(about[name]) for name in figures},
+    )
+    ckpt.save(out / ckpt.checkpoint_name(network), checkpoint)
+
+
+def draw_losses(results: dict[str, Sequence[Trained]]) -> bytes:
+    """Figure 3: training and validation loss by epoch, as a PNG.
+
+    Args:
+      results: of each network, trained with one seed or several; the first one's best is marked.
+    """
+    figure = Figure(figsize=(4.2 * len(results), 3.4), layout="constrained")
+    axes = figure.subplots(1, len(results), squeeze=False)[0]
+    for ax, (network, runs) in zip(axes, results.items(), strict=True):
+        for i, done in enumerate(runs):
+            epochs, faint = np.arange(1, len(done.loss_val) + 1), 1.0 if i == 0 else 0.3
+            words = (None, None) if i else ("training", "validation")
+            ax.plot(epochs, done.loss_train, color="C0", alpha=faint, label=words[0])
+            ax.plot(epochs, done.loss_val, color="C1", alpha=faint, label=words[1])
+        kept = runs[0].best_epoch
+        label = f"kept: RMSE {runs[0].loss_val[kept]:.1f}"
+        ax.axvline(kept + 1, color="0.6", linestyle=":", label=label)
+        ax.set(title=network, xlabel="epoch", ylabel="RMSE (units of cost)")
+        ax.set_ylim(bottom=0)
+        ax.legend()
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150)
+    return buffer.getvalue()

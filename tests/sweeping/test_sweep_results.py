@@ -1,0 +1,344 @@
+import dataclasses
+import io
+import json
+import math
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.container import ErrorbarContainer
+from rich.console import Console
+from stub_fleets import mixed_fleet, run, solved_after
+
+from pgf_jax.errors import BadInput
+from pgf_jax.files import png
+from pgf_jax.fleet import WorkKind
+from pgf_jax.fleet.config import Cell
+from pgf_jax.fleet.metrics import summarise
+from pgf_jax.fleet.stub import outcome
+from pgf_jax.planning.types import Status
+from pgf_jax.sweeping.figure6 import figure6
+from pgf_jax.sweeping.report import BARS, Report, summary_tables
+from pgf_jax.sweeping.run_cells import Job
+from pgf_jax.sweeping.summary import PAIRED, csv, paired_frame, summary_frame
+from pgf_jax.tables import results
+
+
+def test_summary_against_hand_computation():
+    # Iteration 0 takes 1.5 s, each further one 3 s, the final check 1.5 s; then 3 s of execution.
+    fleet = run(iterate=solved_after([0, 2, 0]), policy="autonomous")
+    cell = Cell("autonomous", 1, 3)
+    frame = results.tasks_frame(fleet.records, lambda robot, task: f"scene_{task}")
+    summary = summarise(
+        fleet.config, results.task_records(frame), results.event_log(frame_of(fleet))
+    )
+    row = summary_frame([summary]).row(0, named=True)
+    assert (row["policy"], row["robots"], row["tasks"], row["solved"]) == ("autonomous", 1, 3, 3)
+    times = [3.0, 9.0, 3.0]
+    assert row["planning_time_s"] == pytest.approx(5.0)
+    # t quantile with 2 degrees of freedom: 4.302653; standard deviation sqrt(12).
+    half = 4.302653 * math.sqrt(12.0) / math.sqrt(3.0)
+    assert row["planning_time_s_low"] == pytest.approx(5.0 - half)
+    assert row["planning_time_s_high"] == pytest.approx(5.0 + half)
+    # Wilson for 3 of 3: low = 1 / (1 + z^2 / n), high = 1.
+    assert row["success"] == row["success_high"] == 1.0
+    assert row["success_low"] == pytest.approx(1 / (1 + 1.959964**2 / 3))
+    assert row["hours"] == pytest.approx((sum(times) + 3 * 3.0) / 3600)
+    assert row["tasks_per_hour"] == pytest.approx(3 * 3600 / 24.0)
+    assert row["utilisation"] == 0.0
+    assert math.isnan(row["first_grant"]) and row["first_grant_n"] == 0
+    merged = results.merge([(cell, frame)])
+    assert merged.columns == list(results.MERGED_TASK_SCHEMA)
+    assert merged["planning_time_s"].to_list() == times
+    assert merged["scene"].to_list() == ["scene_0", "scene_1", "scene_2"]
+
+
+def test_what_broke_by_hand(tmp_path):
+    """Task 0 breaks at its iterations 1 and 3 of 0..4; rollouts of iteration i, i are saturated."""
+
+    def iterate(work):
+        return outcome(
+            feasible=work.iteration == 4,
+            non_finite=work.task == 0 and work.iteration in (1, 3),
+            saturated=work.iteration,
+        )
+
+    fleet = run(iterate=iterate, tasks=2, policy="autonomous")
+    frame = results.tasks_frame(fleet.records, lambda robot, task: "x")
+    assert frame["non_finite"].to_list() == [2, 0]
+    assert frame["non_finite_at"].to_list() == [[1, 3], []]
+    assert frame["saturated"].to_list() == [10, 10]
+    path = tmp_path / "tasks.parquet"
+    path.write_bytes(results.parquet(frame))
+    again = results.task_records(results.read_results(path, results.TASK_SCHEMA))
+    assert again == fleet.records
+    row = summary_frame([summarise(fleet.config, again, fleet.events)]).row(0, named=True)
+    assert (row["non_finite"], row["saturated"]) == (2, 20)
+    # Of an iteration that broke it is known which.
+    path.write_bytes(results.parquet(frame.with_columns(non_finite_at=pl.Series([[1, None], []]))))
+    with pytest.raises(BadInput, match="non_finite_at is missing in 1 rows"):
+        results.read_results(path, results.TASK_SCHEMA)
+
+
+def frame_of(fleet):
+    return results.events_frame(fleet.events)
+
+
+def test_paired_differences_against_hand_computation():
+    ours = run("autonomous", iterate=solved_after([0, 1, None]))
+    theirs = run("autonomous", iterate=solved_after([1, 3, 0]))
+    cells = {Cell("a", 1, 3): ours.records, Cell("b", 1, 3): theirs.records}
+    rows = {row.value: row for row in results.paired_differences(cells)}
+    assert {(row.robots, row.policy, row.baseline) for row in rows.values()} == {(1, "a", "b")}
+    # Iterations differ by -1, -2 and 59: the 180 s limit allows 1.5 s and then 59 times 3 s.
+    assert rows["reach_iterations"].difference.mean == pytest.approx((-1 - 2 + 59) / 3)
+    # Planning time: 3 - 6, 6 - 12 and 178.5 - 3.
+    difference = rows["planning_time_s"].difference
+    values = np.array([-3.0, -6.0, 175.5])
+    assert difference.mean == pytest.approx(values.mean())
+    half = 4.302653 * values.std(ddof=1) / math.sqrt(3)
+    assert (difference.low, difference.high) == pytest.approx(
+        (values.mean() - half, values.mean() + half)
+    )
+    assert rows["solved"].difference.mean == pytest.approx(-1 / 3)
+    table = paired_frame(rows.values())
+    assert table.columns == ["robots", "policy", "baseline", "value", "mean", "low", "high", "n"]
+    assert table["n"].to_list() == [3] * len(PAIRED)
+
+
+def test_policies_are_paired_within_a_fleet_size():
+    fleets = {Cell(p, r, 3): run(robots=r).records for p in "abc" for r in (1, 2)}
+    rows = [row for row in results.paired_differences(fleets) if row.value == "solved"]
+    pairs = [("a", "b"), ("a", "c"), ("b", "c")]
+    assert sorted((row.robots, row.policy, row.baseline) for row in rows) == [
+        (robots, *pair) for robots in (1, 2) for pair in pairs
+    ]
+    assert paired_frame(results.paired_differences({Cell("a", 1, 3): []})).is_empty()
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), horizon=st.none() | st.floats(1.0, 700.0))
+def test_tables_hold_what_the_fleet_said(seed, horizon):
+    fleet = mixed_fleet(seed=seed, horizon_s=horizon)
+    tasks = results.tasks_frame(fleet.records, lambda robot, task: f"{robot}_{task}")
+    assert dict(tasks.schema) == results.TASK_SCHEMA
+    records = sorted(fleet.records, key=lambda r: (r.robot, r.task))
+    # Representations, because nan is not equal to itself.
+    assert repr(results.task_records(tasks)) == repr(records)
+    events = frame_of(fleet)
+    assert dict(events.schema) == results.EVENT_SCHEMA
+    known = [
+        e._replace(gain=None) if e.gain is not None and math.isnan(e.gain) else e
+        for e in fleet.events
+    ]
+    assert results.event_log(events) == known
+    for frame, schema in ((tasks, results.TASK_SCHEMA), (events, results.EVENT_SCHEMA)):
+        again = results._decode(results.parquet(frame), "x", schema)  # pyright: ignore[reportArgumentType]
+        assert again.equals(frame)
+        assert results.parquet(again) == results.parquet(frame)
+    before = summarise(fleet.config, fleet.records, fleet.events)
+    after = summarise(fleet.config, results.task_records(tasks), results.event_log(events))
+    # Means are over records in another order.
+    for key, value in before.row().items():
+        assert after.row()[key] == (value if isinstance(value, str) else approx(value))
+
+
+def approx(value):
+    return pytest.approx(value, rel=1e-12, nan_ok=True)
+
+
+def test_event_columns_are_exactly_the_documented_ones():
+    documented = "time_ns kind robot task request operator iteration gain object x y outcome"
+    assert list(results.EVENT_SCHEMA) == documented.split()
+    events = frame_of(mixed_fleet())
+    pushes = events.filter(pl.col("outcome") == "push", pl.col("kind") == "service_end")
+    assert pushes["x"].unique().to_list() == [0.4] and (pushes["object"] == pushes["robot"]).all()
+    assert events.filter(pl.col("kind") == "window_close")["robot"].null_count() > 0
+    assert results.events_frame([]).is_empty()
+
+
+# -- files -------------------------------------------------------------------------------------
+
+
+def test_read_results_names_file_and_column(tmp_path):
+    path = tmp_path / "tasks.parquet"
+    with pytest.raises(BadInput, match=f"{path}: no such file"):
+        results.read_results(path, results.MERGED_TASK_SCHEMA)
+    whole = results.parquet(results.tasks_frame(mixed_fleet().records, lambda robot, task: "x"))
+    for size in [*range(0, len(whole), 997), len(whole) - 1]:
+        path.write_bytes(whole[:size])
+        with pytest.raises(BadInput, match=f"{path}: truncated or corrupt") as caught:
+            results.read_results(path, results.TASK_SCHEMA)
+        assert "\n" not in str(caught.value)
+    path.write_bytes(whole)
+    with pytest.raises(BadInput, match=f"{path}: column policy must be String, got nothing"):
+        results.read_results(path, results.MERGED_TASK_SCHEMA)
+    pl.DataFrame({"robot": ["a"]}).write_parquet(path)
+    with pytest.raises(BadInput, match="column robot must be Int64, got String"):
+        results.read_results(path, results.TASK_SCHEMA)
+
+
+def test_numbers_in_csv_are_whole(tmp_path):
+    frame = pl.DataFrame({"x": [1 / 3, math.nan, 1e-17]})
+    again = pl.read_csv(io.BytesIO(csv(frame)), schema={"x": pl.Float64()})
+    assert again["x"][0] == 1 / 3 and again["x"][2] == 1e-17 and math.isnan(again["x"][1])
+
+
+# -- figure and report -------------------------------------------------------------------------
+
+
+def summaries():
+    cells = [(policy, robots) for policy in ("pgf", "or-hitl", "always") for robots in (1, 4, 10)]
+    return [
+        summarise(fleet.config, fleet.records, fleet.events)
+        for policy, robots in cells
+        for fleet in [run(policy, robots=robots, iterate=solved_after([0, robots, None]))]
+    ]
+
+
+def test_figure_has_a_line_for_each_policy():
+    cells = summaries()
+    figure = figure6(cells)
+    times, rates = figure.axes
+    for axes, value in ((times, "planning_time_s"), (rates, "success")):
+        lines = axes.get_lines()
+        assert [line.get_label() for line in axes.containers] == ["pgf", "or-hitl", "always"]
+        assert len(lines) == 3
+        for line, policy in zip(lines, ("pgf", "or-hitl", "always"), strict=True):
+            expected = [getattr(c, value).mean for c in cells if c.policy == policy]
+            np.testing.assert_array_equal(np.array(line.get_ydata(), float), expected)
+            np.testing.assert_allclose(np.array(line.get_xdata(), float), [1, 4, 10], atol=0.25)
+        container = axes.containers[0]
+        assert isinstance(container, ErrorbarContainer)
+        bars = container.lines[2][0].get_segments()
+        for (low, high), cell in zip(bars, cells[:3], strict=True):
+            interval = getattr(cell, value)
+            assert (low[1], high[1]) == pytest.approx((interval.low, interval.high))
+    assert figure.get_suptitle() == (
+        "135 tasks; for each policy: 3 (R = 1), 12 (R = 4), 30 (R = 10)"
+    )
+    picture = png(figure)
+    assert picture.startswith(b"\x89PNG\r\n\x1a\n") and len(picture) > 10_000
+    assert picture == png(figure6(cells))
+
+
+def test_figure_of_one_cell_without_an_outcome():
+    fleet = run(horizon_s=1.0, tasks=1)
+    assert fleet.records[0].status is Status.CENSORED
+    figure = figure6([summarise(fleet.config, fleet.records, fleet.events)])
+    assert png(figure).startswith(b"\x89PNG")
+    assert figure.get_suptitle().startswith("0 tasks")
+
+
+def test_summary_table_fits_a_terminal():
+    file = io.StringIO()
+    console = Console(width=80, file=file)
+    console.print(summary_tables(summaries()))
+    text = file.getvalue()
+    assert "…" not in text
+    assert text.count("or-hitl") == 6
+    row = next(line for line in text.splitlines() if line.split()[:2] == ["or-hitl", "1"])
+    # Solved in 3 and 6 s; the third task fails at the limit. Success 2 of 3, Wilson.
+    assert "0.67 [0.21, 0.94]" in row
+
+
+def test_progress_without_a_terminal_is_lines():
+    file = io.StringIO()
+    console = Console(file=file, width=30)
+    jobs = [Job(0, cell) for cell in (Cell("pgf", 1, 4), Cell("pgf", 2, 4), Cell("always", 1, 4))]
+    with Report(jobs, [jobs[2]], console) as report:
+        report.progress(jobs[0], 1, 1800 * 10**9)
+        report.finished(jobs[1], {})
+        report.again(2, "a process ended early")
+        report.interrupted("there")
+    assert report.sent_again == 2
+    lines = file.getvalue().splitlines()
+    assert lines[0] == "kept: always_R1"
+    assert lines[1].startswith("finished pgf_R2; 9/12 tasks, 1/2 cells, 0.50 h simulated, ")
+    assert lines[2] == "a process ended early: 2 cells are computed again"
+    assert lines[3].startswith("interrupted: 1 of 2 cells were finished and are kept in there; ")
+    assert "--resume" in lines[3] and len(lines) == 4
+
+
+def test_progress_of_several_sweeps_says_which():
+    file = io.StringIO()
+    cell, other = Cell("pgf", 2, 4), Cell("always", 1, 4)
+    jobs = [Job(0, cell), Job(0, other), Job(1, cell), Job(1, other)]
+    with Report(jobs, [jobs[1], jobs[3]], Console(file=file, width=30)) as report:
+        report.progress(jobs[0], 3, 1800 * 10**9)
+        report.progress(jobs[2], 1, 900 * 10**9)
+        report.finished(jobs[2], {})
+        report.finished(jobs[0], {})
+        report.interrupted("here", "there", "elsewhere")
+    lines = file.getvalue().splitlines()
+    assert lines[0] == "kept: 0:always_R1, 1:always_R1"
+    assert lines[1].startswith("finished 1:pgf_R2; 11/16 tasks, 1/2 cells, 0.75 h simulated, ")
+    assert lines[2].startswith("finished 0:pgf_R2; 16/16 tasks, 2/2 cells, 0.75 h simulated, ")
+    assert "2 of 2 cells were finished and are kept in here .. elsewhere; " in lines[3]
+    assert len(lines) == 4
+
+
+def test_progress_on_a_terminal_and_quiet():
+    file, silence = io.StringIO(), io.StringIO()
+    console = Console(file=file, force_terminal=True, width=100)
+    job = Job(0, Cell("pgf", 2, 4))
+    with Report([job], [], console) as report:
+        report.progress(job, 3, 1800 * 10**9)
+        report.finished(job, {})
+    text = file.getvalue()
+    assert "pgf, R = 2" in text and "8/8" in text and "0.50 h simulated" in text
+    quiet = Console(file=silence, force_terminal=True)
+    with Report([job], [job], quiet, quiet=True) as report:
+        report.interrupted("there")
+    assert silence.getvalue() == ""
+
+
+def test_many_cells_share_a_bar_and_a_line():
+    jobs = [Job(0, Cell("pgf", robots, 1)) for robots in range(1, 2 * BARS + 3)]
+    for terminal in (False, True):
+        file = io.StringIO()
+        console = Console(file=file, force_terminal=terminal, width=100)
+        with Report(jobs, jobs[: BARS + 1], console) as report:
+            for job in jobs[BARS + 1 :]:
+                report.finished(job, {})
+        text = file.getvalue()
+        assert text.startswith("kept: 17 cells\n")
+        assert "finished" not in text and "pgf" not in text
+        tasks = sum(range(BARS + 2, 2 * BARS + 3))
+        assert (f"{tasks}/{tasks}" in text) == terminal
+
+
+def test_a_line_of_json_for_each_cell(capsys):
+    jobs = [Job(0, Cell("pgf", 2, 4)), Job(1, Cell("always", 1, 4))]
+    file = io.StringIO()
+    with Report(jobs, [], Console(file=file, width=30), json=True) as report:
+        report.progress(jobs[1], 1, 10**9)
+        account = {"sha256": "ab", "wall_s": 1.5, "attempt": 2, "host": {"name": "here"}}
+        report.finished(jobs[0], account)
+        report.finished(jobs[1], {})
+    first, second = map(json.loads, capsys.readouterr().out.splitlines())
+    assert first.pop("tasks_per_s") > 0 and first.pop("left_s") >= 0
+    assert first == account | {
+        "host": "here",
+        "sweep": 0,
+        "cell": "pgf_R2",
+        "tasks": 8,
+        "cells_done": 1,
+        "cells": 2,
+        "tasks_done": 9,
+        "tasks_in_all": 12,
+    }
+    assert (second["cell"], second["cells_done"], second["tasks_done"]) == ("always_R1", 2, 12)
+    assert (second["host"], second["left_s"]) == (None, 0.0)
+    assert len(file.getvalue().splitlines()) == 2  # as without
+    with Report(jobs, [], Console(file=file), json=True, quiet=True) as report:
+        report.finished(jobs[0], {})
+    assert capsys.readouterr().out == ""
+
+
+def test_schema_covers_every_field_of_a_record():
+    names = {field.name for field in dataclasses.fields(mixed_fleet().records[0])}
+    assert names - {"terms"} <= set(results.TASK_SCHEMA)
+    assert {kind.value for kind in WorkKind} == {"iteration", "retreat", "input"}
