@@ -1,12 +1,12 @@
-"""Throughput studies of one human guiding a fleet of robots that reach through clutter.
+"""Simulates fleets of robots that reach through clutter and share one human operator.
 
     import pgf_jax
 
     scene = pgf_jax.sample_scene(7, "tight")
     plan = pgf_jax.plan(0, scene, pgf_jax.PlanConfig(engine="native"))
 
-Importing this imports nothing else: each name below is looked up in its module when it is first
-used.
+Importing this package imports nothing else: each name is looked up in its module when it is first
+used. The names stand here twice, once for type checkers and once for the look-up.
 """
 
 import importlib

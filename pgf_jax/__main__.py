@@ -1,4 +1,4 @@
-"""`python -m pgf_jax` is `pgf-jax`."""
+"""Runs the command line: `python -m pgf_jax` does what `pgf-jax` does."""
 
 import sys
 

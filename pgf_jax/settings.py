@@ -1,4 +1,10 @@
-"""Checks of settings, each with its one line of BadInput."""
+"""Checks of settings: types and bounds; whatever is wrong is one line of BadInput.
+
+The bounds of a setting stand in its type, and `check_fields` reads both:
+
+    robots: Count = 1
+    port: Annotated[int, Bounds(0, 65535)] = 8080
+"""
 
 import dataclasses
 import functools
@@ -9,11 +15,69 @@ import sys
 import types
 import typing
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pgf_jax.errors import BadInput, short_repr
 
 MAX_SEED = 2**32 - 1  # a seed is one word of a noise key
+
+
+@dataclasses.dataclass(frozen=True)
+class Bounds:
+    """The range of a number, as metadata of its type; the number must be finite, too.
+
+    Attributes:
+      least: the smallest value.
+      most: the largest value.
+      above: the value is larger than this.
+      below: the value is smaller than this.
+      unit: what is counted, for the message: "seconds" or nothing.
+    """
+
+    least: float | None = None
+    most: float | None = None
+    above: float | None = None
+    below: float | None = None
+    unit: str = ""
+
+    def contains(self, value: float) -> bool:
+        """Whether `value` lies within; nan never does."""
+        return (
+            # Not math.isfinite: a whole number may be too large to be a float.
+            abs(value) <= sys.float_info.max
+            and (self.least is None or value >= self.least)
+            and (self.most is None or value <= self.most)
+            and (self.above is None or value > self.above)
+            and (self.below is None or value < self.below)
+        )
+
+    def words(self, kind: type) -> str:
+        """What is expected, for the message: "a whole number 1 or more"."""
+        noun = "a whole number" if kind is int else "a number"
+        if self.unit:
+            noun += f" of {self.unit},"
+        ends = []
+        if self.least is not None and self.most is not None:
+            ends.append(f"within {_digits(self.least)}..{_digits(self.most)}")
+        elif self.least is not None:
+            ends.append(f"{_digits(self.least)} or more")
+        elif self.most is not None:
+            ends.append(f"{_digits(self.most)} or less")
+        if self.above is not None:
+            ends.append(f"above {_digits(self.above)}")
+        if self.below is not None:
+            ends.append(f"below {_digits(self.below)}")
+        return f"{noun} {' and '.join(ends)}" if ends else f"a finite {noun.removeprefix('a ')}"
+
+
+def _digits(number: float) -> str:
+    return str(number) if isinstance(number, int) else f"{number:g}"
+
+
+Count = Annotated[int, Bounds(1)]  # how many: of robots, tasks, processes ...
+Index = Annotated[int, Bounds(0)]  # which one, counted from 0
+Seed = Annotated[int, Bounds(0, MAX_SEED)]
+Seconds = Annotated[float, Bounds(0.0, unit="seconds")]
 
 
 def check_choice(name: str, value: object, choices: list[str]) -> None:
@@ -23,38 +87,22 @@ def check_choice(name: str, value: object, choices: list[str]) -> None:
 
 
 def check_int(name: str, value: object, least: int, most: int | None = None) -> None:
-    """BadInput unless `value` is a whole number within least..most."""
-    if (
-        not isinstance(value, int)
-        or isinstance(value, bool)
-        or value < least
-        or (most is not None and value > most)
-    ):
-        bounds = f"{least} or more" if most is None else f"within {least}..{most}"
-        raise BadInput(f"{name}: expected a whole number {bounds}, got {short_repr(value)}")
-
-
-def check_seconds(name: str, value: float, least: float) -> None:
-    """BadInput unless `value` is a finite number of seconds, `least` or more."""
-    # A whole number may be too large for what it is used as.
-    if not isinstance(value, int | float) or not least <= value <= sys.float_info.max:
-        raise BadInput(
-            f"{name}: expected a number of seconds, {least:g} or more, got {short_repr(value)}"
-        )
+    """BadInput unless `value` is a whole number within least..most, which other settings decide."""
+    _number(name, value, int, Bounds(least, most))
 
 
 _MOST = 10_000  # values in a list
 
 
 def check_fields(config: Any) -> None:
-    """Give every field of a frozen dataclass the type that it declares.
+    """Check every field of a frozen dataclass, and give it the type that it declares.
 
     Text becomes a path and a path text, lists become tuples and NumPy's numbers Python's, where the
-    other is declared. After this, checks of ranges can compare without looking at types.
+    other is declared. `Bounds` in a field's type are checked: of the number, or of each number in a
+    list. After this, further checks can compare values without looking at types.
 
     Raises:
-      BadInput: one line that names the field: its value is of another type, or a number is too
-        large to be one.
+      BadInput: one line that names the field: its value is of another type or out of bounds.
     """
     for name, hint in _hints(type(config)).items():
         value = getattr(config, name)
@@ -65,16 +113,19 @@ def check_fields(config: Any) -> None:
 
 @functools.cache
 def _hints(config: type) -> dict[str, Any]:
-    hints = typing.get_type_hints(config)
+    hints = typing.get_type_hints(config, include_extras=True)
     return {field.name: hints[field.name] for field in dataclasses.fields(config)}
 
 
-def _taken(name: str, value: Any, hint: Any) -> Any:
+def _taken(name: str, value: Any, hint: Any, bounds: Bounds | None = None) -> Any:
     """The value as its type says, or BadInput."""
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Annotated:
+        bounds = next((one for one in inner[1:] if isinstance(one, Bounds)), bounds)
+        return _taken(name, value, inner[0], bounds)
     if origin in (typing.Union, types.UnionType):  # X | None
         (kind,) = (one for one in inner if one is not types.NoneType)
-        return None if value is None else _taken(name, value, kind)
+        return None if value is None else _taken(name, value, kind, bounds)
     if origin is Literal:
         if not isinstance(value, str) or value not in inner:
             raise _wrong(name, f"one of {', '.join(inner)}", value)
@@ -83,7 +134,8 @@ def _taken(name: str, value: Any, hint: Any) -> Any:
         if not isinstance(value, list | tuple | range) or value[_MOST:]:
             raise _wrong(name, f"a list of at most {_MOST} values", value)
         kinds = inner[:1] * len(value) if Ellipsis in inner or len(inner) != len(value) else inner
-        taken = tuple(_taken(name, one, kind) for one, kind in zip(value, kinds, strict=True))
+        pairs = zip(value, kinds, strict=True)
+        taken = tuple(_taken(name, one, kind, bounds) for one, kind in pairs)
         same = isinstance(value, tuple) and all(map(operator.is_, taken, value))
         return value if same else taken
     if hint is Path:
@@ -91,7 +143,7 @@ def _taken(name: str, value: Any, hint: Any) -> Any:
     if hint is str and isinstance(value, Path):
         return str(value)
     if hint in (int, float):
-        return _number(name, value, hint)
+        return _number(name, value, hint, bounds)
     if not isinstance(value, hint):
         words = {str: "text", bool: "true or false"}
         raise _wrong(name, words.get(hint, f"a {hint.__name__}"), value)
@@ -113,8 +165,10 @@ def _path(name: str, value: Any) -> Path:
     return path
 
 
-def _number(name: str, value: Any, kind: Any) -> Any:
+def _number(name: str, value: Any, kind: Any, bounds: Bounds | None) -> Any:
     words = "a whole number" if kind is int else "a number"
+    if bounds is not None:
+        words = bounds.words(kind)
     wanted: Any = numbers.Integral if kind is int else numbers.Real  # NumPy's are, too
     if not isinstance(value, wanted) or isinstance(value, bool):
         raise _wrong(name, words, value)
@@ -124,7 +178,10 @@ def _number(name: str, value: Any, kind: Any) -> Any:
         raise _wrong(name, words, value) from None
     if kind is int and not -(2**63) <= taken < 2**63:
         raise _wrong(name, "a whole number of 64 bits", value)
-    return value if isinstance(value, int | float) else taken
+    taken = value if isinstance(value, int | float) else taken
+    if bounds is not None and not bounds.contains(taken):
+        raise _wrong(name, words, value)
+    return taken
 
 
 def _wrong(name: str, expected: str, value: Any) -> BadInput:

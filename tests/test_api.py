@@ -1,8 +1,10 @@
 """The public names: found, and found late."""
 
+import ast
 import importlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -35,6 +37,22 @@ def test_every_name_is_its_modules(name):
     module = importlib.import_module(f"pgf_jax.{pgf_jax._MODULES[name]}")
     assert getattr(pgf_jax, name) is getattr(module, name)
     assert name in dir(pgf_jax)
+
+
+def test_the_names_that_checkers_read_are_those_that_are_looked_up():
+    (block,) = (
+        node
+        for node in ast.parse(Path(pgf_jax.__file__).read_text()).body
+        if isinstance(node, ast.If)
+    )
+    read = {
+        alias.asname: f"{node.module}:{alias.name}"
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    looked_up = {name: f"pgf_jax.{module}:{name}" for name, module in pgf_jax._MODULES.items()}
+    assert read == looked_up and len(block.body) == len(looked_up)
 
 
 @pytest.mark.parametrize("name", ["plan", "sample_scene", "load_scene", "make_engine", "sweep"])

@@ -1,7 +1,9 @@
 """The command line: its files, its help, and one line for every kind of bad input."""
 
+import importlib
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -10,10 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import pgf_jax.arguments
 import pgf_jax.cli as cli
 from pgf_jax.cli import COMMANDS, main
 from pgf_jax.errors import BadInput
+from pgf_jax.plans.config import PlanCommand, PlanConfig
 from pgf_jax.plans.file import load_plan
+from pgf_jax.training.config import TrainCommand, TrainConfig
 
 OBJECT = (
     '<body name="object_{i}" pos="{x} {y} 0.1826"><joint type="free"/>'
@@ -55,73 +60,102 @@ def process(*arguments: object) -> subprocess.CompletedProcess:
 # --- bad input ----------------------------------------------------------------------------------
 
 ARGUMENTS = {
-    "no command": (
-        [],
+    "command": (
+        ["plane"],
         "command: expected one of plan, sweep, verify, reproduce, console, collect, train, "
-        "fit-operator, profile, render, got none",
+        "fit-operator, profile, render, got 'plane'",
     ),
-    "command": (["plane"], "got 'plane'"),
     "robots": (["console", "--robots", "0"], "--robots: expected a whole number within 1..100"),
     "host": (["console", "--host", "here"], "--host: expected an address such as 127.0.0.1"),
     "live sweep": (["sweep", "--operator", "live"], "operator: live is for pgf-jax console"),
     "log": (["sweep", "--log", "x"], "--log: expected with operator replay and only with it"),
     "no log": (["sweep", "--operator", "replay", "--log", "x"], "x: no such file"),
-    "option": (["plan", "--preset", "tight", "--bogus", "3"], "unrecognized options: --bogus 3"),
-    "stray": (["plan", "--preset", "tight", "stray"], "unrecognized options: stray"),
-    "no scene": (["plan"], "--scene, --preset: expected one of the two, got neither"),
-    "no file": (["plan", "--scene"], "--scene, --preset: expected one of the two, got neither"),
-    "two": (["plan", "--scene", "a.xml", "--preset", "wide"], "one of the two, got both"),
-    "preset": (
+    "option": (
+        ["plan", "--scene-class", "tight", "--bogus", "3"],
+        "unrecognized options: --bogus 3",
+    ),
+    "stray": (["plan", "--scene-class", "tight", "stray"], "unrecognized options: stray"),
+    "no scene": (["plan"], "--scene, --scene-class: expected one of the two, got neither"),
+    "no file": (
+        ["plan", "--scene"],
+        "--scene, --scene-class: expected one of the two, got neither",
+    ),
+    "two": (["plan", "--scene", "a.xml", "--scene-class", "wide"], "one of the two, got both"),
+    "class": (
+        ["plan", "--scene-class", "huge"],
+        "--scene-class: expected one of medium, tight, wide, got 'huge'",
+    ),
+    "class by its other name": (
         ["plan", "--preset", "huge"],
-        "--preset: expected one of tight, medium, wide, got 'huge'",
+        "pgf-jax: --scene-class: expected one of medium, tight, wide, got 'huge'",
     ),
     "negative": (
-        ["plan", "--preset", "tight", "--count", "-2"],
+        ["plan", "--scene-class", "tight", "--count", "-2"],
         "--count: expected a whole number 1 or more, got -2",
     ),
-    "count of files": (["plan", "--scene", "a.xml", "--count", "2"], "--count: goes with preset"),
+    "count of files": (
+        ["plan", "--scene", "a.xml", "--count", "2"],
+        "--count: goes with scene_class",
+    ),
     "seed": (
-        ["plan", "--preset", "tight", "--seed", "-1"],
+        ["plan", "--scene-class", "tight", "--seed", "-1"],
         "--seed: expected a whole number within",
     ),
     "seed range": (
-        ["plan", "--preset", "tight", "--seed", 2**32 - 1, "--count", 2],
+        ["plan", "--scene-class", "tight", "--seed", 2**32 - 1, "--count", 2],
         "--seed: expected a whole number within 0..4294967294, got 4294967295",
     ),
     "text": (
-        ["plan", "--preset", "tight", "--seed", "x"],
+        ["plan", "--scene-class", "tight", "--seed", "x"],
         "--seed: expected a whole number, got 'x'",
     ),
     "number": (
-        ["plan", "--preset", "tight", "--service-mean", "x"],
+        ["plan", "--scene-class", "tight", "--service-mean", "x"],
         "--service-mean: expected a number, got 'x'",
     ),
     "nan": (
-        ["plan", "--preset", "tight", "--service-sd", "nan"],
+        ["plan", "--scene-class", "tight", "--service-sd", "nan"],
         "--service-sd: expected a number",
     ),
-    "no value": (["plan", "--preset", "tight", "--count"], "--count: expected a value, got none"),
-    "engine": (["plan", "--preset", "tight", "--engine", "bull"], "--engine: expected one of "),
-    "operator": (["plan", "--preset", "tight", "--operator", "x"], "--operator: expected one of"),
+    "no value": (
+        ["plan", "--scene-class", "tight", "--count"],
+        "--count: expected a value, got none",
+    ),
+    "engine": (
+        ["plan", "--scene-class", "tight", "--engine", "bull"],
+        "--engine: expected one of ",
+    ),
+    "operator": (
+        ["plan", "--scene-class", "tight", "--operator", "x"],
+        "--operator: expected one of",
+    ),
     "physics": (
-        ["plan", "--preset", "tight", "--physics", "x"],
+        ["plan", "--scene-class", "tight", "--physics", "x"],
         "--physics: expected one of default, paper, got 'x'",
     ),
     "update": (
-        ["plan", "--preset", "tight", "--update", "x"],
+        ["plan", "--scene-class", "tight", "--update", "x"],
         "--update: expected one of greedy, stomp, got 'x'",
     ),
-    "ask": (["plan", "--preset", "tight", "--ask", "after:-1"], "got 'after:-1'"),
-    "lanes": (["plan", "--preset", "tight", "--lanes", "0"], "--lanes: expected a whole number 1"),
+    "ask": (["plan", "--scene-class", "tight", "--ask", "after:-1"], "got 'after:-1'"),
+    "lanes": (
+        ["plan", "--scene-class", "tight", "--lanes", "0"],
+        "--lanes: expected a whole number 1",
+    ),
     "limit": (
-        ["plan", "--preset", "tight", "--task-limit", "1"],
+        ["plan", "--scene-class", "tight", "--task-limit", "1"],
         "--task-limit: expected a number",
     ),
     "mode": (
         ["collect", "both", "--scenes", 1, "--out", "x"],
         "mode: expected one of autonomous, forks, human, got 'both'",
     ),
-    "missing": (["collect", "human"], "options missing: --out"),
+    "missing": (["collect", "human"], "options missing: --out (see"),
+    "several missing": (["train"], "options missing: --data, --out (see"),
+    "scenes by their other name": (
+        ["collect", "human", "--count", "x", "--out", "x"],
+        "pgf-jax: --scenes: expected a whole number, got 'x'",
+    ),
     "classes": (
         ["collect", "human", "--scenes", 1, "--out", "x", "--classes", "flat"],
         "--classes: expected one of medium, tight, wide, got 'flat'",
@@ -144,7 +178,7 @@ ARGUMENTS = {
     ),
     "training": (
         ["train", "--data", "x", "--out", "y", "--batch", "0"],
-        "batch must be at least 1",
+        "--batch: expected a whole number 1 or more, got 0",
     ),
 }
 
@@ -159,8 +193,8 @@ def test_a_wrong_argument_is_one_line(case, capsys):
 
 
 def test_a_rejection_of_a_new_kind_is_one_line_too(monkeypatch, capsys):
-    monkeypatch.setattr(cli, "_rejection", lambda event, prog: None)
-    code, out, err = run(["plan", "--preset", "tight", "--physics", "x"], capsys)
+    monkeypatch.setattr(pgf_jax.arguments, "_rejection", lambda event, prog: None)
+    code, out, err = run(["plan", "--scene-class", "tight", "--physics", "x"], capsys)
     assert (code, out) == (2, "") and err.count("\n") == 1
     assert "invalid choice 'x' for argument '--physics'" in err and "│" not in err
 
@@ -214,7 +248,7 @@ def test_two_scenes_of_one_name_would_share_a_file(tmp_path, capsys):
 
 def test_an_out_that_is_no_folder_is_named(tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    code, _, err = run(["plan", "--preset", "tight", "--out", tmp_path / "file"], capsys)
+    code, _, err = run(["plan", "--scene-class", "tight", "--out", tmp_path / "file"], capsys)
     assert code == 2 and err.count("\n") == 1
     assert f"--out {tmp_path / 'file'}: expected a folder to write to" in err
 
@@ -223,7 +257,7 @@ def test_an_out_that_is_no_folder_is_named(tmp_path, capsys):
 def test_a_wrong_checkpoint_is_one_line(damage, tmp_path, capsys):
     if damage != "missing":
         (tmp_path / "phi_auto.msgpack").write_bytes(b"\x82\xa7" if damage == "truncated" else b"x")
-    arguments = ["plan", "--preset", "tight", "--engine", "native", "--ask", "gain"]
+    arguments = ["plan", "--scene-class", "tight", "--engine", "native", "--ask", "gain"]
     code, out, err = run([*arguments, "--predictor", tmp_path], capsys)
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
@@ -238,7 +272,7 @@ def test_data_that_is_not_there_is_one_line(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "arguments", [["plan", "--preset", "x"], ["plan", "--scene", "x.xml"], ["plan", "--x"], []]
+    "arguments", [["plan", "--preset", "x"], ["plan", "--scene", "x.xml"], ["plan", "--x"], ["x"]]
 )
 def test_bad_input_in_a_process_of_its_own(arguments):
     done = process(*arguments)
@@ -251,7 +285,7 @@ def test_a_message_of_several_lines_becomes_one(monkeypatch, capsys):
         raise BadInput("scene\nx")
 
     monkeypatch.setitem(COMMANDS, "plan", cli.Command("", COMMANDS["plan"].config, fail))
-    assert run(["plan", "--preset", "tight"], capsys) == (2, "", "pgf-jax: scene x\n")
+    assert run(["plan", "--scene-class", "tight"], capsys) == (2, "", "pgf-jax: scene x\n")
 
 
 @pytest.mark.parametrize(
@@ -263,7 +297,7 @@ def test_an_interruption_is_one_line_and_130(error, line, monkeypatch, capsys):
         raise error
 
     monkeypatch.setitem(COMMANDS, "plan", cli.Command("", COMMANDS["plan"].config, interrupt))
-    assert run(["plan", "--preset", "tight"], capsys) == (130, "", f"pgf-jax: {line}\n")
+    assert run(["plan", "--scene-class", "tight"], capsys) == (130, "", f"pgf-jax: {line}\n")
 
 
 # --- help and laziness --------------------------------------------------------------------------
@@ -286,17 +320,128 @@ def test_help_lists_the_commands(flag, capsys):
     code, out, err = run([flag], capsys)
     assert (code, err) == (0, "")
     for name, command in COMMANDS.items():
-        assert name in out and command.summary in out
+        assert f"\n  {name} " in out and command.summary in out
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_no_command_lists_the_commands_too(capsys):
+    _, listed, _ = run(["--help"], capsys)
+    code, out, err = run([], capsys)
+    assert (code, out) == (2, "")
+    assert err.startswith(listed)
+    assert (
+        err[len(listed) :] == f"pgf-jax: command: expected one of {', '.join(COMMANDS)}, got none\n"
+    )
 
 
 def test_the_flags_that_are_promised(capsys):
     _, out, _ = run(["plan", "--help"], capsys)
-    flags = "scene preset seed count engine physics cost update operator ask lanes out predictor"
-    for flag in flags.split():
+    flags = "scene scene-class preset seed count engine physics cost update operator ask lanes out"
+    for flag in [*flags.split(), "predictor"]:
         assert f"--{flag} " in out
-    words = " ".join(out.split())
-    assert words.count("(default: none)") == 1  # the operator
+    words = " ".join(out.replace("│", " ").split())
+    assert words.count("(default: none)") == 2  # the operator, and the scene files
     assert "(default: stuck)" in words and "(default: planar)" in words
+
+
+def config_of(name: str) -> type:
+    """The class of a command's settings."""
+    module, kind = COMMANDS[name].config.split(":")
+    return getattr(importlib.import_module(module), kind)
+
+
+def texts(name: str) -> dict[str, str]:
+    """The options' texts, by field."""
+    found = {}
+    for kind in pgf_jax.arguments._classes(config_of(name)):
+        text = pgf_jax.arguments._texts(kind).partition("\n\nAttributes:")[2]
+        found |= dict(re.findall(r"^  (\w+): (.*)$", text.partition("\n\n")[0], re.MULTILINE))
+    return found
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_of_a_command_at_80_columns(name, monkeypatch, capsys):
+    """Every option is there, with its whole text, in lines that fit."""
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, err = run([name, "--help"], capsys)
+    assert (code, err) == (0, "")
+    assert out.startswith(f"usage: pgf-jax {name} ")
+    assert max(map(len, out.splitlines())) <= 80
+    words = " ".join(re.sub("[│╭╮╰╯─]", " ", out).split())
+    options = pgf_jax.arguments._options(config_of(name))
+    assert texts(name).keys() - {"config"} == options.keys()
+    for field, text in texts(name).items():
+        if field in options:
+            assert text in words
+            positional = f"--{field.replace('_', '-')}" not in words
+            assert positional == (field in ("mode", "what", "file", "folder"))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_groups_hold_options_once(name):
+    config = config_of(name)
+    groups = [field for _, names in getattr(config, "GROUPS", ()) for field in names]
+    assert len(groups) == len({*groups})
+    options = pgf_jax.arguments._options(config)
+    ungrouped = options.keys() - {*groups}
+    assert {*groups} <= options.keys()
+    if groups:
+        assert ungrouped <= {"mode", "what", "file", "folder"}  # those without a flag
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_what_none_means_is_said(name):
+    """A default of None is shown as such, and so the text tells what happens then."""
+    for field, (_, _, made) in pgf_jax.arguments._options(config_of(name)).items():
+        assert (made.default is None) == ("None: " in texts(name)[field]), field
+
+
+# Options of one name that mean something else in each command, or have more choices in some.
+OTHER_MEANING = {"json", "log", "out", "patience", "resume", "scenes", "seed", "speed"}
+MORE_CHOICES = {"operator", "policy", "predictor", "robot", "robots", "scene_class", "task"}
+
+
+def test_an_option_has_one_text_in_all_commands():
+    found: dict[str, set[str]] = {}
+    for name in COMMANDS:
+        for field, text in texts(name).items():
+            start = re.split(r"[;.] (?:None: |The default )", text)[0]  # defaults differ
+            found.setdefault(field, set()).add(start.removesuffix("."))
+    several = {field for field, some in found.items() if len(some) > 1}
+    lists = {"lanes"}  # those that profile tries
+    inner = {"config", "folder"}  # no options
+    assert several - inner - lists == OTHER_MEANING | MORE_CHOICES
+    # A session is a sweep of one fleet.
+    sweeps, sessions = texts("sweep"), texts("console")
+    differ = {field for field in sweeps.keys() & sessions if sweeps[field] != sessions[field]}
+    assert differ == {"robots", "tasks", "operator", "scene_class", "out", "resume"}
+
+
+def test_scenes_are_asked_for_by_the_same_names(monkeypatch, capsys):
+    seen = []
+    for name in ("plan", "collect"):
+        command = cli.Command("", COMMANDS[name].config, seen.append)
+        monkeypatch.setitem(COMMANDS, name, command)
+    for flag in ("--scene-class", "--preset", "--preset=wide"):
+        value = [] if "=" in flag else ["wide"]
+        assert run(["plan", flag, *value, "--count", 2], capsys) == (0, "", "")
+    assert seen[0] == seen[1] == seen[2] == PlanCommand(scene_class="wide", count=2)
+    collect = ["collect", "human", "--out", "x"]
+    assert run([*collect, "--count", 3, "--scene-classes", "wide", "tight"], capsys)[0] == 0
+    assert run([*collect, "--scenes", 3, "--classes", "wide", "tight"], capsys)[0] == 0
+    assert seen[3] == seen[4]
+    assert (seen[3].scenes, seen[3].classes) == (3, ("wide", "tight"))
+
+
+def test_settings_within_settings_are_set(monkeypatch, capsys):
+    seen = []
+    for name in ("plan", "train"):
+        command = cli.Command("", COMMANDS[name].config, seen.append)
+        monkeypatch.setitem(COMMANDS, name, command)
+    run(["plan", "--scene-class", "tight", "--ask", "gain", "--lanes", 3], capsys)
+    assert seen[0].config == PlanConfig(ask="gain", lanes=3)
+    run(["train", "--data", "x", "--out", "y", "--hidden", 8, 4, "--loss", "mae"], capsys)
+    assert seen[1] == TrainCommand(Path("x"), Path("y"), TrainConfig(hidden=(8, 4), loss="mae"))
 
 
 def test_the_version(capsys):
@@ -309,10 +454,10 @@ def test_compiled_programs_are_kept_unless_the_user_says_where(monkeypatch, caps
     monkeypatch.setitem(COMMANDS, "plan", cli.Command("", COMMANDS["plan"].config, seen.append))
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
     monkeypatch.setenv("HOME", "/home/somebody")
-    run(["plan", "--preset", "tight"], capsys)
+    run(["plan", "--scene-class", "tight"], capsys)
     assert cli.os.environ["JAX_COMPILATION_CACHE_DIR"] == "elsewhere"
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
-    run(["plan", "--preset", "tight"], capsys)
+    run(["plan", "--scene-class", "tight"], capsys)
     assert cli.os.environ["JAX_COMPILATION_CACHE_DIR"] == "/home/somebody/.cache/pgf_jax"
     assert len(seen) == 2
 
@@ -335,7 +480,7 @@ def test_plans_of_files_and_presets_are_written(tmp_path, capsys):
 
 
 def test_a_preset_plan_does_not_depend_on_the_count(tmp_path, capsys):
-    arguments = ["plan", "--preset", "wide", "--engine", "native", "--task-limit", "10"]
+    arguments = ["plan", "--scene-class", "wide", "--engine", "native", "--task-limit", "10"]
     assert run([*arguments, "--seed", 1, "--count", 2, "--out", tmp_path / "a"], capsys)[0] == 0
     assert run([*arguments, "--seed", 2, "--out", tmp_path / "b"], capsys)[0] == 0
     both = sorted(path.name for path in (tmp_path / "a").iterdir())
@@ -347,7 +492,7 @@ def test_a_preset_plan_does_not_depend_on_the_count(tmp_path, capsys):
 
 def test_an_unsolved_plan_is_no_error_and_is_not_written_unasked(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    arguments = ["plan", "--preset", "wide", "--engine", "native", "--task-limit", "4.5"]
+    arguments = ["plan", "--scene-class", "wide", "--engine", "native", "--task-limit", "4.5"]
     code, out, err = run(arguments, capsys)
     assert (code, err) == (0, "")
     assert "0 of 1 solved" in out
@@ -386,7 +531,7 @@ def test_planar_is_started_without_xla_s_threads(monkeypatch):
         monkeypatch.setitem(
             COMMANDS, command, cli.Command("", COMMANDS[command].config, run_command)
         )
-    for arguments in (["plan", "--preset", "tight"], ["sweep"], ["sweep", "--engine", "mjx"]):
+    for arguments in (["plan", "--scene-class", "tight"], ["sweep"], ["sweep", "--engine", "mjx"]):
         monkeypatch.delenv("NPROC", raising=False)
         assert cli.main(arguments) == 0
     assert seen == ["1", "1", None]

@@ -1,74 +1,86 @@
-"""Settings of `collect`; no JAX here, the command line builds on it."""
+"""Settings of `collect`; no JAX here, so that help is instant."""
 
 import dataclasses
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from pgf_jax.errors import BadInput
 from pgf_jax.guidance.operators.registry import check_operator
-from pgf_jax.planning.config import check_planning
-from pgf_jax.settings import MAX_SEED, check_fields, check_int, check_seconds
-from pgf_jax.sweeping.config import LANES, OTHER_LANES
+from pgf_jax.physics.config import PhysicsName
+from pgf_jax.physics.engine import check_engine, default_lanes
+from pgf_jax.planning.config import CostVariant, TaskLimit, Update
+from pgf_jax.scene import PRESETS, SceneClass
+from pgf_jax.settings import MAX_SEED, Count, Index, Seed, check_fields, check_int
 
-CLASSES = ("tight", "medium", "wide")
 _BESIDE_LOG = ("mode", "out", "log", "resume")
 
 
 @dataclasses.dataclass(frozen=True)
 class CollectConfig:
-    """Plan sampled scenes and keep every iteration, for `train`; or take recorded sessions.
+    """Plan sampled scenes, or replay sessions, and keep every iteration, to train on.
 
     Attributes:
-      mode: autonomous: nobody helps; human: input is given once in each run that lasts so long;
-        forks: one state of each such run is carried on with input and without, for the true gain.
-      out: folder of the data; gets autonomous/runs.parquet, human/runs.parquet or
-        forks/forks.parquet.
-      scenes: how many; scene i has seed + i for its own seed (of layout and noise).
-      log: human: sessions of the console to take the runs from, instead of planning scenes: their
-        folders, or event logs. Each fixes its own settings, so that no others are given.
-      classes: scene classes, taken in turn: the mix is even.
-      seed: of the first scene.
+      mode: autonomous (nobody helps), human (input is given once in each run that lasts so long),
+        or forks (one state of each such run is carried on with input and without, for the true
+        gain).
+      out: folder of the data: autonomous/runs.parquet, human/runs.parquet or forks/forks.parquet.
+      scenes: how many scenes to sample; None: none, with --log.
+      log: recorded sessions to take human runs from, instead of planning scenes: their folders, or
+        event logs. They have their own settings, so that no others can be given.
+      classes: classes of the sampled scenes, in turn: tight, medium, wide.
+      seed: seed of the first scene and its noise; the next scenes count on from there.
       engine: physics engine: planar, mjx, native, or a registered one.
-      physics: default, or the paper's substep and the authors' softness.
-      cost: cost variant: the authors' source, or the paper's text.
-      update: greedy or stomp.
-      operator: who gives the input of human runs and forks.
-      lanes: L, scenes computed in one call; None: a constant of the engine, as in a sweep.
-      task_limit: simulated time of a run, s. The default ends an unsolved run after reach iteration
-        39, or in human runs at least 10 reach iterations (the predictors' look-ahead) after the
-        input, however long its push took to plan.
-      ask_from: human: input comes after a reach iteration drawn evenly from ask_from..ask_to; the
-        third is the first with a full history. forks: of the unsolved ones among these.
-      ask_to: see ask_from.
+      physics: physics constants: default, or paper (its substep, and the authors' softness).
+      cost: cost terms: source (as the authors' published source has them), or paper (as its text).
+      update: how an iteration changes the best trajectory: greedy takes the cheapest rollout, as
+        the paper does; stomp blends the noise of all rollouts by weight.
+      operator: who gives input in human runs and forks: heuristic, noisy, oracle, clairvoyant, or a
+        registered one.
+      lanes: L, robots computed in one call of the engine; results are bit-equal for equal L only.
+        None: 64 for planar, 1 for native, else 8.
+      task_limit: simulated time for planning, waiting and interaction in a task, s. The default
+        ends an unsolved run after reach iteration 39; in human runs at least 10 reach iterations
+        (the predictors' look-ahead) after the input, however long its push took to plan.
+      ask_from: human: input comes after a reach iteration drawn evenly from ask_from..ask_to, of
+        which the third is the first with a full history; forks: a state is drawn from the unsolved
+        ones among these.
+      ask_to: the last of these reach iterations.
       keys: forks: futures of a state under other noise, each with input and without.
-      workers: processes that share the scenes, each on cores of its own; None: one a core for
-        planar, else 1. What is collected does not depend on them.
-      chunk: finished runs are written this many at a time: what an interruption can lose.
-      resume: continue what was interrupted, or add scenes to what is there; nothing is added to
-        the runs of sessions.
+      workers: processes that share the work, each on cores of its own; results do not depend on how
+        many. None: one a core for planar, else 1.
+      chunk: finished runs are written this many at a time: as many can be lost by an interruption.
+      resume: go on with what is in the folder: finished runs are kept, the others are planned.
     """
 
     mode: tyro.conf.Positional[Literal["autonomous", "human", "forks"]]
     out: Path
-    scenes: int | None = None
+    scenes: Annotated[Count | None, tyro.conf.arg(aliases=["--count"])] = None
     log: tuple[Path, ...] = ()
-    classes: tuple[Literal["tight", "medium", "wide"], ...] = CLASSES
-    seed: int = 0
+    classes: Annotated[tuple[SceneClass, ...], tyro.conf.arg(aliases=["--scene-classes"])] = PRESETS
+    seed: Seed = 0
     engine: str = "planar"
-    physics: Literal["default", "paper"] = "default"
-    cost: Literal["source", "paper"] = "source"
-    update: Literal["greedy", "stomp"] = "greedy"
+    physics: PhysicsName = "default"
+    cost: CostVariant = "source"
+    update: Update = "greedy"
     operator: str = "heuristic"
-    lanes: int | None = None
-    task_limit: float = 120.0
-    ask_from: int = 3
-    ask_to: int = 12
-    keys: int = 8
-    workers: int | None = None
-    chunk: int = 20
+    lanes: Count | None = None
+    task_limit: TaskLimit = 120.0
+    ask_from: Index = 3
+    ask_to: Index = 12
+    keys: Count = 8
+    workers: Count | None = None
+    chunk: Count = 20
     resume: bool = False
+
+    GROUPS = (  # of options, for the help
+        ("scene", ("scenes", "classes", "seed", "log")),
+        ("planning", ("engine", "physics", "cost", "update", "lanes", "task_limit")),
+        ("operator", ("operator", "ask_from", "ask_to", "keys")),
+        ("computing", ("workers", "chunk")),
+        ("output", ("out", "resume")),
+    )
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -77,23 +89,18 @@ class CollectConfig:
             return
         if self.scenes is None:
             raise BadInput("scenes: expected how many (or log, with recorded sessions), got none")
-        check_int("scenes", self.scenes, 1)
         check_int("seed", self.seed, 0, MAX_SEED - self.scenes + 1)
-        for name in ("chunk", "keys", "workers"):
-            if name != "workers" or self.workers is not None:
-                check_int(name, getattr(self, name), 1)
         if self.lanes is None:
-            object.__setattr__(self, "lanes", LANES.get(self.engine, OTHER_LANES))
-        check_planning(self)
+            object.__setattr__(self, "lanes", default_lanes(self.engine))
+        check_engine(self.engine)
         if self.mode != "autonomous":
             check_operator(self.operator)
             if self.operator == "none":
                 raise BadInput(f"operator: {self.mode} runs need one that gives input, got 'none'")
         if not self.classes:
-            raise BadInput(f"classes: expected one or more of {', '.join(CLASSES)}, got none")
+            raise BadInput(f"classes: expected one or more of {', '.join(PRESETS)}, got none")
         if len(set(self.classes)) != len(self.classes):
             raise BadInput(f"classes: expected each at most once, got {' '.join(self.classes)}")
-        check_seconds("task_limit", self.task_limit, 1.5)  # the nominal's own rollout
         # Forks are described by a full history.
         check_int("ask_from", self.ask_from, 3 if self.mode == "forks" else 0)
         check_int("ask_to", self.ask_to, self.ask_from)

@@ -1,4 +1,4 @@
-"""`pgf-jax console`: a session with its page, until its tasks are done or it is interrupted."""
+"""The command `pgf-jax console`: runs a session with its page until the tasks are done."""
 
 import logging
 import signal
@@ -21,27 +21,27 @@ from pgf_jax.operator_fit.lognormal import ANSWERS
 from pgf_jax.sweeping.report import summary_tables
 
 LOG = "console.log"
-FAREWELL_S = 1.0  # until the page has heard that the session is over
+FAREWELL_S = 1.0  # time in which the pages receive the end of the session
 
 
 def console(config: ConsoleConfig) -> CellSummary:
-    """Run a session.
+    """Run a session, until its tasks are done or it is interrupted.
 
     Returns:
-      Its summary; its files are in the folder.
+      The summary of the fleet. The files of the session are in the folder `out`.
 
     Raises:
       BadInput: a setting, a file, the folder or the port cannot be used.
     """
-    spec = SessionSpec.of(config)
+    spec = SessionSpec.load(config)
     config = spec.config
     access = AccessControl(needs_token=config.needs_token)
     page = Page(
         config.host,
         config.port,
         access,
-        robots=spec.cell.robots,
-        n_objects=spec.setup.n_objects,
+        robots=spec.cell.cell.robots,
+        n_objects=spec.sweep.scenes.n_objects,
         live=config.operator == "live",
     )
     try:
@@ -51,7 +51,7 @@ def console(config: ConsoleConfig) -> CellSummary:
         page.open(session)
         _stop_on_signals(session)
         session.run()
-        summary = session.record.close()
+        summary = session.recorder.close()
         time.sleep(FAREWELL_S)
     finally:
         page.close()
@@ -60,15 +60,15 @@ def console(config: ConsoleConfig) -> CellSummary:
 
 
 def _say(page: Page, access: AccessControl, config: ConsoleConfig) -> None:
-    """Where it is; the token is said here and nowhere else."""
+    """Print the address of the page; the token is shown here and nowhere else."""
     token = "" if access.token is None else f"?token={access.token}"
-    waits = "; the clock starts when an operator has come" if config.operator == "live" else ""
-    print(f"{page.url}{token}{waits}; Ctrl-C ends the session", flush=True)
+    start = "; the clock starts when an operator has come" if config.operator == "live" else ""
+    print(f"{page.url}{token}{start}; Ctrl-C ends the session", flush=True)
 
 
 def _conclude(session: Session, out: Path, summary: CellSummary) -> None:
     Console().print(summary_tables([summary]))
-    services = service_times(session.play.fleet.events).services
+    services = service_times(session.runner.fleet.events).services
     seconds = [service.seconds for service in services if service.outcome in ANSWERS]
     took = f" after {statistics.median(seconds):.1f} s (median)" if seconds else ""
     print(
@@ -78,7 +78,7 @@ def _conclude(session: Session, out: Path, summary: CellSummary) -> None:
 
 
 def _log_to(path: Path) -> None:
-    """What concerns clients goes to a file, and what was refused to the terminal as well."""
+    """Log what clients do to a file, and what was refused to the terminal too."""
     logger = logging.getLogger("pgf_jax.console")
     logger.setLevel(logging.INFO)
     file = logging.FileHandler(path)
@@ -86,7 +86,7 @@ def _log_to(path: Path) -> None:
     shown = RichHandler(level=logging.WARNING, console=Console(stderr=True), show_path=False)
     for handler in (file, shown):
         logger.addHandler(handler)
-    # A client's message that makes no sense ends in a task of the server's; one line is enough.
+    # A malformed message ends a task of the server, which logs it; a line in the file is enough.
     for name in ("asyncio", "websockets.server"):
         other = logging.getLogger(name)
         other.addHandler(file)
@@ -94,7 +94,7 @@ def _log_to(path: Path) -> None:
 
 
 def _stop_on_signals(session: Session) -> None:
-    """Ctrl-C and SIGTERM end the session in order; a second one is the usual one."""
+    """Let Ctrl-C and SIGTERM end the session in order; a second one kills the process."""
 
     def stop(number: int, frame: object) -> None:
         signal.signal(number, signal.SIG_DFL)

@@ -1,23 +1,26 @@
-"""Settings of `pgf-jax console`; no JAX here, the command line builds on it."""
+"""Settings of `console`; no JAX here, so that help is instant."""
 
 import dataclasses
 import ipaddress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any
 
 from pgf_jax.errors import BadInput
+from pgf_jax.fleet.config import ClockSeconds
 from pgf_jax.guidance.operators.registry import operator_names
-from pgf_jax.settings import check_choice, check_fields, check_int, check_seconds
-from pgf_jax.sweeping.config import SweepConfig
+from pgf_jax.physics.config import PhysicsName
+from pgf_jax.planning.config import CostVariant, Probability, Update
+from pgf_jax.settings import Bounds, Count, Seconds, Seed, check_choice, check_fields
+from pgf_jax.sweeping.config import SampledClass, SweepConfig
 
 LOOPBACK = "127.0.0.1"
-# Of a session itself; all else is what a sweep calls by the same name.
+# Settings that a sweep does not have; a sweep has all others under the same name.
 _OWN = ("robots", "policy", "speed", "patience", "host", "port")
 
 
 @dataclasses.dataclass(frozen=True)
 class ConsoleConfig:
-    """Guide a fleet from a browser: it runs in real time, and asks the person at the desk.
+    """Guide a fleet from a browser: it runs in real time, and asks the person at the page.
 
     The clock starts when an operator has come. Everything is recorded as it happens: the log
     replays bit for bit (`sweep --operator replay --log OUT`), and a server that was killed goes on
@@ -25,69 +28,86 @@ class ConsoleConfig:
 
     Attributes:
       robots: fleet size.
-      policy: when robots ask, and who is served: see `sweep`.
-      tasks: of each robot.
-      speed: simulated seconds a second.
+      policy: when robots ask, and who is served: pgf, or-hitl, or-hitl-window, always, autonomous,
+        random, queue, classifier, oracle-gain (with a simulated operator only), or a registered
+        one.
+      tasks: tasks of each robot.
+      speed: simulated seconds in a real second.
       patience: simulated time after which a robot that gets no answer goes on alone, s.
-      host: address to listen on; another than 127.0.0.1 needs the token that is printed.
-      port: to listen on; 0: any free one.
-      seed: of scenes, planning noise, service times and ties.
-      operator: live: who sits at the page; or a simulated one, or replay, to watch.
-      log: of replay: the session's folder, or its event log.
-      service_mean: of simulated operators: mean of the log-normal service time, s.
-      service_sd: of simulated operators: its standard deviation, s.
-      window: T_window of Alg. 2, s.
+      host: address to listen on; any other than 127.0.0.1 needs the token that is printed.
+      port: port to listen on; 0: any free one.
+      seed: seed of scenes, planning noise, service times and ties.
+      operator: who gives input: live (the person at the page), a simulated operator (heuristic,
+        noisy, oracle, clairvoyant, none, or a registered one), or replay (whoever gave it in a
+        recorded session, to watch).
+      log: the session to replay, with operator replay only: its folder, or its event log; None:
+        nothing is replayed.
+      service_mean: mean of a simulated operator's log-normal service time, s.
+      service_sd: standard deviation of the service time, s; 0 makes it constant.
+      window: T_window of Alg. 2, for which bids are collected, s.
       rollout_time: simulated time of one rollout, s; an iteration takes two.
-      compute: dedicated (every robot has a computer), or shared:C (all share one of C cores).
-      horizon: simulated time at which the session ends, s; None: when its tasks are done.
-      predictor: what pgf bids by: paper or best, as shipped; or a folder of checkpoints, or
-        best:FOLDER.
-      scene_class: of the sampled scenes; all: the three in turn; None: tight.
-      scenes: folder of scene files (*.xml) to draw the tasks from instead.
+      compute: dedicated (each robot has its own computer), or shared:C (all robots share a computer
+        with C cores).
+      horizon: simulated time at which a fleet stops, s; None: when its tasks are done.
+      predictor: what predicts the gain of input: paper or best, as shipped; a folder of
+        checkpoints, for the paper's pair of networks in it; or best:FOLDER.
+      scene_class: class of the sampled scenes: tight, medium, wide, or all (the three in turn);
+        None: tight.
+      scenes: folder of scene files (*.xml) from which the tasks are drawn; None: scenes are
+        sampled.
       engine: physics engine: planar, mjx, native, or a registered one.
-      physics: default, or the paper's substep and the authors' softness.
-      cost: cost variant: the authors' source, or the paper's text.
-      update: greedy or stomp.
-      random_winner: as in `sweep`.
-      lanes: L, robots computed in one call; None: a constant of the engine.
-      out: folder of the session: events.jsonl as it goes, tables at its end.
-      resume: go on with the session in the folder.
+      physics: physics constants: default, or paper (its substep, and the authors' softness).
+      cost: cost terms: source (as the authors' published source has them), or paper (as its text).
+      update: how an iteration changes the best trajectory: greedy takes the cheapest rollout, as
+        the paper does; stomp blends the noise of all rollouts by weight.
+      random_winner: probability that an iteration takes any of its noisy rollouts instead of the
+        cheapest one: an ablation of a fault in the published source. 0 is the paper's.
+      lanes: L, robots computed in one call of the engine; results are bit-equal for equal L only.
+        None: 64 for planar, 1 for native, else 8.
+      out: folder of the session: its event log, written as it happens, and its tables at the end.
+      resume: go on with what is in the folder: the session whose server was killed.
     """
 
-    robots: int = 6
+    robots: Annotated[int, Bounds(1, 100)] = 6
     policy: str = "pgf"
-    tasks: int = 10
-    speed: float = 1.0
-    patience: float = 60.0
+    tasks: Count = 10
+    speed: Annotated[float, Bounds(1e-3)] = 1.0
+    patience: Annotated[float, Bounds(1e-3, unit="seconds")] = 60.0
     host: str = LOOPBACK
-    port: int = 8080
-    seed: int = 0
+    port: Annotated[int, Bounds(0, 65535)] = 8080
+    seed: Seed = 0
     operator: str = "live"
     log: Path | None = None
-    service_mean: float = 8.0
-    service_sd: float = 4.0
-    window: float = 2.0
-    rollout_time: float = 1.5
+    service_mean: Seconds = 8.0
+    service_sd: Seconds = 4.0
+    window: Seconds = 2.0
+    rollout_time: ClockSeconds = 1.5
     compute: str = "dedicated"
-    horizon: float | None = None
+    horizon: ClockSeconds | None = None
     predictor: str = "paper"
-    scene_class: Literal["tight", "medium", "wide", "all"] | None = None
+    scene_class: SampledClass | None = None
     scenes: Path | None = None
     engine: str = "planar"
-    physics: Literal["default", "paper"] = "default"
-    cost: Literal["source", "paper"] = "source"
-    update: Literal["greedy", "stomp"] = "greedy"
-    random_winner: float = 0.0
-    lanes: int | None = None
+    physics: PhysicsName = "default"
+    cost: CostVariant = "source"
+    update: Update = "greedy"
+    random_winner: Probability = 0.0
+    lanes: Count | None = None
     out: Path = Path("results/session")
     resume: bool = False
 
+    GROUPS = (  # of options, for the help
+        ("fleet", ("robots", "policy", "tasks", "seed")),
+        ("scene", ("scene_class", "scenes")),
+        ("planning", ("engine", "physics", "cost", "update", "random_winner", "lanes")),
+        ("operator", ("operator", "log", "patience", "predictor", "service_mean", "service_sd")),
+        ("clock", ("speed", "window", "rollout_time", "compute", "horizon")),
+        ("server", ("host", "port")),
+        ("output", ("out", "resume")),
+    )
+
     def __post_init__(self) -> None:
         check_fields(self)
-        check_int("robots", self.robots, 1, 100)
-        for name, least in (("speed", 1e-3), ("patience", 1e-3)):
-            check_seconds(name, getattr(self, name), least)
-        check_int("port", self.port, 0, 65535)
         try:
             ipaddress.ip_address(self.host)
         except ValueError:
@@ -105,7 +125,7 @@ class ConsoleConfig:
         self.sweep()
 
     def sweep(self) -> SweepConfig:
-        """The sweep of one cell that this is, but for its clock and its operator."""
+        """The sweep of one cell that has the session's settings; its operator may be `live`."""
         settings: dict[str, Any] = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
@@ -115,5 +135,5 @@ class ConsoleConfig:
 
     @property
     def needs_token(self) -> bool:
-        """Whether others than this computer can connect."""
+        """Whether other computers can connect."""
         return not ipaddress.ip_address(self.host).is_loopback

@@ -1,43 +1,42 @@
-"""Settings of `reproduce`; no JAX here."""
+"""Settings of `reproduce` and `verify`; no JAX here, so that help is instant."""
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated
 
 from tyro.conf import Positional
 
 from pgf_jax.errors import BadInput
-from pgf_jax.settings import MAX_SEED, check_fields, check_int
+from pgf_jax.settings import Bounds, Count, Index, Seed, check_fields
 
 
 @dataclasses.dataclass(frozen=True)
 class ReproduceConfig:
     """Compute one iteration of a sweep again: what each rollout did, and where it broke.
 
-    Without --iteration, the first in which a rollout was not finite.
+    Without --iteration it is the first one in which a rollout was not finite.
 
     Attributes:
-      folder: of the sweep's results.
-      policy: of the fleet; None: any.
-      robots: the fleet's size; None: any.
-      robot: which robot; 0-based. None: any.
-      task: which of its tasks; 0-based. None: any.
-      iteration: its number in the event log.
-      out: file for all arrays (NumPy's .npz).
+      folder: folder of the sweep's results.
+      policy: the fleet's policy; None: any.
+      robots: fleet size; None: any.
+      robot: number of the robot, from 0; None: any.
+      task: number of its task, from 0; None: any.
+      iteration: number of the iteration in the event log, from 0; None: the first with a rollout
+        that was not finite.
+      out: file for all arrays (.npz of NumPy); None: none is written.
     """
 
     folder: Positional[Path]
     policy: str | None = None
-    robots: int | None = None
-    robot: int | None = None
-    task: int | None = None
-    iteration: int | None = None
+    robots: Count | None = None
+    robot: Index | None = None
+    task: Index | None = None
+    iteration: Index | None = None
     out: Path | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name, least in (("robots", 1), ("robot", 0), ("task", 0), ("iteration", 0)):
-            if getattr(self, name) is not None:
-                check_int(name, getattr(self, name), least)
         if self.iteration is not None:
             for name in ("policy", "robots", "robot", "task"):
                 if getattr(self, name) is None:
@@ -48,31 +47,27 @@ class ReproduceConfig:
 
 @dataclasses.dataclass(frozen=True)
 class VerifyConfig:
-    """Check a sweep's results: each file against what is known of it, some cells by computing them.
+    """Check a sweep's results: all files, and some of the cells by computing them again.
 
     Attributes:
-      folder: of the results, finished or not.
+      folder: folder of the sweep's results, finished or not.
       cells: how many cells, drawn at random, are computed again and compared bit for bit; more than
         there are: all of them.
-      seed: of the draw; None: another one each time.
-      workers: as in `sweep`.
-      scenes: where the scene files lie now; None: where they were.
-      predictor: where the checkpoints lie now, as in `sweep`; None: where they were.
-      log: where a replay's recording lies now; None: where it was.
+      seed: seed of the draw; None: another one each time.
+      workers: processes that share the work, each on cores of its own; results do not depend on how
+        many. None: one a core for planar, else 1.
+      scenes: folder in which the scene files lie now; None: where they were.
+      predictor: where the checkpoints lie now: a folder, or best:FOLDER; None: where they were.
+      log: where the replayed session lies now; None: where it was.
     """
 
     folder: Positional[Path]
-    cells: int = 3
-    seed: int | None = None
-    workers: int | None = None
+    cells: Annotated[int, Bounds(0)] = 3
+    seed: Seed | None = None
+    workers: Count | None = None
     scenes: Path | None = None
     predictor: str | None = None
     log: Path | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_int("cells", self.cells, 0)
-        if self.seed is not None:
-            check_int("seed", self.seed, 0, MAX_SEED)
-        if self.workers is not None:
-            check_int("workers", self.workers, 1)

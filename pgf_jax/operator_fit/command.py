@@ -1,6 +1,6 @@
-"""`fit-operator`: service times of recorded sessions, and the distribution that sweeps draw.
+"""`fit-operator`: reads service times from event logs and fits the distribution of sweeps.
 
-fit(service_times(events))
+`fit(service_times(events))` is the whole computation for one fleet.
 """
 
 import dataclasses
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pgf_jax.errors import BadInput, short_repr
+from pgf_jax.files import png, write_atomically
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.operator_fit.config import FitOperatorConfig
 from pgf_jax.operator_fit.lognormal import (
@@ -26,16 +27,17 @@ from pgf_jax.operator_fit.lognormal import (
     fit,
     kaplan_meier,
 )
+from pgf_jax.tables.event_log import read_log
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 def service_times(events: Sequence[Event]) -> ServiceSample:
-    """The services of one fleet: each grant with the end of the same robot's service.
+    """The services of one fleet: each is a grant and the end of the same robot's service.
 
     Raises:
-      BadInput: grants and ends do not pair up, or an outcome is not known.
+      BadInput: grants and ends do not match, or an outcome is unknown.
     """
     granted: dict[int | None, int] = {}
     services = []
@@ -60,15 +62,13 @@ def service_times(events: Sequence[Event]) -> ServiceSample:
 
 
 def read_services(paths: Iterable[Path]) -> ServiceSample:
-    """The services of all logs together, in the operator's own seconds.
+    """The services of all logs together, in seconds of the operator's time.
 
-    A live session of `speed` 2 counts two simulated seconds in each second of its operator's.
+    In a live session of `speed` 2, two simulated seconds pass in each second of the operator.
 
     Raises:
-      BadInput: one line that names the file: damaged, given twice, or none has services.
+      BadInput: one line that names the file: damaged, given twice, or no services in any.
     """
-    from pgf_jax.tables.event_log import read_log
-
     services: list[Service] = []
     cut_off = 0
     files: list[Path] = []
@@ -101,7 +101,7 @@ def _is_number(value: object) -> bool:
 
 
 def fit_operator(config: FitOperatorConfig) -> Fit:
-    """Read, fit, print, draw. Returns the fit.
+    """Read logs, fit, print and draw; returns the fit.
 
     Raises:
       BadInput: one line that names the file.
@@ -112,18 +112,16 @@ def fit_operator(config: FitOperatorConfig) -> Fit:
     except BadInput as error:
         raise BadInput(f"{', '.join(map(str, config.log))}: {error}") from None
     if config.out is not None:
-        from pgf_jax.files import png, write_atomically
-
         write_atomically(config.out, png(figure(sample, result)))
     if config.json:
-        sys.stdout.write(json.dumps(_plain(result), indent=2) + "\n")
+        sys.stdout.write(json.dumps(_json_content(result), indent=2) + "\n")
     else:
-        _show(result)
+        _print(result)
     return result
 
 
 def figure(sample: ServiceSample, result: Fit) -> "Figure":
-    """Distribution functions: of the services (Kaplan-Meier's) and of the fit."""
+    """Draw the distribution functions of the services (Kaplan-Meier) and of the fit."""
     from matplotlib.figure import Figure
 
     seconds, answered = arrays(sample)
@@ -153,8 +151,8 @@ def figure(sample: ServiceSample, result: Fit) -> "Figure":
     return drawing
 
 
-def _plain(result: Fit) -> dict[str, Any]:
-    """For JSON, which has no number for infinity."""
+def _json_content(result: Fit) -> dict[str, Any]:
+    """The fit as JSON; infinity, which JSON does not have, becomes null."""
     content = dataclasses.asdict(result)
     for key in ("mean_interval_s", "sd_interval_s", "median_interval_s"):
         if content[key] is not None:
@@ -162,7 +160,7 @@ def _plain(result: Fit) -> dict[str, Any]:
     return content | {"warnings": list(result.warnings), "sweep": result.command}
 
 
-def _show(result: Fit) -> None:
+def _print(result: Fit) -> None:
     from rich.console import Console
     from rich.table import Table
 

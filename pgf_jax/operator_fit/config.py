@@ -1,7 +1,10 @@
-"""Settings of `fit-operator`; no JAX here."""
+"""Settings of `fit-operator`; no JAX here, so that help is instant."""
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from pgf_jax.errors import BadInput
 from pgf_jax.settings import check_fields
@@ -9,16 +12,17 @@ from pgf_jax.settings import check_fields
 
 @dataclasses.dataclass(frozen=True)
 class FitOperatorConfig:
-    """Fit the service times that a sweep draws to those of recorded sessions, or of sweeps.
+    """Fit the service times that a sweep draws to those of recorded sessions or sweeps.
 
     Attributes:
-      log: event logs, taken together: folders, events.parquet or events.jsonl files.
-      out: figure to write (PNG): how long services took, and the fit.
-      json: print one JSON object instead of a table.
+      log: recorded sessions, taken together: their folders, or event logs (events.parquet,
+        events.jsonl).
+      out: picture to write (.png) of the service times and the fit; None: no picture is written.
+      json: print one JSON object instead of tables.
     """
 
     log: tuple[Path, ...]
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
     json: bool = False
 
     def __post_init__(self) -> None:

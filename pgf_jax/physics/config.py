@@ -1,14 +1,17 @@
-"""What the planar world is made of: static, and free of JAX and MuJoCo imports."""
+"""Constants of the planar world; no JAX or MuJoCo here, since the command line reads them."""
 
 import dataclasses
+from typing import Literal
+
+PhysicsName = Literal["default", "paper"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Physics:
-    """The planar world's constants (D2).
+    """Constants of the planar world.
 
-    Softness, friction loss and substep go together: see the README's table of parity for what was
-    measured with the default.
+    Softness, friction loss and substep were chosen together, so change them together: softer
+    contacts allow a larger substep. `experiments/parity.py` measures the error of a choice.
     """
 
     substeps: int = 36  # S, per knot; 0.375 s / 36 = 10.4 ms
@@ -21,7 +24,7 @@ class Physics:
     armature: float = 0.1
     damping: float = 0.5
     object_friction: float = 0.3
-    hand_friction: float = 1.0  # of palm and fingers: MuJoCo's default, which the authors' keep
+    hand_friction: float = 1.0  # of palm and fingers: MuJoCo's default, as in the authors' world
     finger_creep: float = 1.0  # share of the authors' fingers' surface creep (`hand.CREEP`)
     wall_friction: float = 0.5
 

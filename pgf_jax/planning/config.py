@@ -1,23 +1,29 @@
-"""Static settings of cost and planner; no JAX here, the command line is built from them."""
+"""Settings of the cost and the planner; no JAX here, since the command line reads them."""
 
 import dataclasses
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 from pgf_jax.errors import BadInput
-from pgf_jax.physics.engine import engine_names
-from pgf_jax.settings import check_choice, check_int
+from pgf_jax.settings import Bounds, Count, check_choice, check_fields
+
+CostVariant = Literal["source", "paper"]
+Update = Literal["greedy", "stomp"]
+Probability = Annotated[float, Bounds(0, 1)]
+# The rollout of the nominal trajectory takes 1.5 s: no task takes less.
+TaskLimit = Annotated[float, Bounds(1.5, unit="seconds")]
 
 
 @dataclasses.dataclass(frozen=True)
 class Cost:
-    """Cost weights and thresholds (D3). `source` follows the authors' published source.
+    """Weights and thresholds of the cost terms (Papallas & Dogar 2022).
 
-    `paper` is the text of the paper: c_d = w_d |ee - goal|, c_f = w_f F over all contacts without a
-    threshold, no edge or static term; it gives no number for feasible, so there it is
-    d(goal) < 0.06 and c_b = 0.
+    Variant `source`, the default, follows the authors' published source, with an edge and a static
+    term that the paper does not have. Variant `paper` follows the text of the paper:
+    c_d = w_d |ee - goal|, c_f = w_f F over all contacts without a threshold, and no edge or static
+    term. The text gives no number for feasible, so there it is d(goal) < 0.06 and c_b = 0.
     """
 
-    variant: Literal["source", "paper"] = "source"
+    variant: CostVariant = "source"
     w_d: float = 4000.0  # per m
     w_f: float = 0.3  # per N above `force_threshold`
     w_f_paper: float = 30.0  # per N
@@ -38,36 +44,34 @@ class Cost:
 
 @dataclasses.dataclass(frozen=True)
 class Planner:
-    """Settings of Alg. 1 (D4)."""
+    """Settings of the planner (Papallas & Dogar 2022, Alg. 1)."""
 
-    rollouts: int = 8  # K
-    update: Literal["greedy", "stomp"] = "greedy"
-    sigma: tuple[float, float, float] = (0.04, 0.04, 0.04)  # m/s, m/s, rad/s: standard deviations
+    rollouts: Count = 8  # K
+    update: Update = "greedy"
+    # m/s, m/s, rad/s: standard deviations, as in the published source (the paper says variances)
+    sigma: tuple[float, float, float] = (0.04, 0.04, 0.04)
     stomp_h: float = 10.0
     stuck_count: int = 2
     stuck_change: float = 50.0
     stuck_excess: float = 1000.0
-    # q, of an iteration's winner being any of the K: an ablation, for the published rollouts share
-    # one simulator object, which makes the source's choice among the K partly random (D9).
-    random_winner: float = 0.0
+    # q, the probability that an iteration's winner is any of the K rollouts. This is an ablation:
+    # the published source's rollouts share one simulator object, so that its choice among the K is
+    # partly random.
+    random_winner: Probability = 0.0
     cost: Cost = dataclasses.field(default_factory=Cost)
 
     def __post_init__(self) -> None:
-        if self.rollouts < 1:
-            raise BadInput(f"rollouts: expected a positive number, got {self.rollouts}")
-        if self.update not in ("greedy", "stomp"):
-            raise BadInput(f"update: expected greedy or stomp, got {self.update!r}")
-        q = self.random_winner
-        if not isinstance(q, int | float) or isinstance(q, bool) or not 0 <= q <= 1:
-            raise BadInput(f"random_winner: expected a number within 0..1, got {q!r}")
-        if q > 0 and self.update == "stomp":
-            raise BadInput(f"random_winner: expected 0 with update stomp (no winner), got {q!r}")
-        if self.cost.variant not in ("source", "paper"):
-            raise BadInput(f"cost: expected source or paper, got {self.cost.variant!r}")
+        check_fields(self)
+        check_choice("cost", self.cost.variant, ["source", "paper"])
+        if self.random_winner > 0 and self.update == "stomp":
+            raise BadInput(
+                "random_winner: expected 0 with update stomp (no winner), "
+                f"got {self.random_winner!r}"
+            )
 
 
 class Planning(Protocol):
-    """Settings of planning that several commands share."""
+    """Settings of planning that several commands have in common."""
 
     @property
     def engine(self) -> str:
@@ -80,25 +84,16 @@ class Planning(Protocol):
         ...
 
     @property
-    def cost(self) -> Literal["source", "paper"]:
+    def cost(self) -> CostVariant:
         """Cost variant."""
         ...
 
     @property
-    def update(self) -> Literal["greedy", "stomp"]:
+    def update(self) -> Update:
         """How an iteration changes the best trajectory."""
         ...
 
     @property
     def lanes(self) -> int | None:
-        """L."""
+        """Robots in one call of the engine, L; None: the command's own number."""
         ...
-
-
-def check_planning(config: Planning) -> None:
-    """BadInput unless the engine, physics, cost, update and lanes of `config` exist."""
-    check_choice("engine", config.engine, engine_names())
-    check_choice("physics", config.physics, ["default", "paper"])
-    check_choice("cost", config.cost, ["source", "paper"])
-    check_choice("update", config.update, ["greedy", "stomp"])
-    check_int("lanes", config.lanes, 1)

@@ -1,11 +1,11 @@
-"""`pgf-jax plan`."""
+"""The command `pgf-jax plan`: plans scenes, writes the plans and shows a table."""
 
 from pathlib import Path
 
 from pgf_jax.errors import BadInput
 from pgf_jax.plans.config import PlanCommand
 from pgf_jax.plans.file import Plan, save_plan
-from pgf_jax.plans.plan import plan_scenes
+from pgf_jax.plans.plan import iter_plans
 from pgf_jax.scene import load_scene, sample_scene
 from pgf_jax.terminal import Progress, show_table
 
@@ -17,8 +17,8 @@ def run(command: PlanCommand) -> None:
       BadInput: a scene or a setting cannot be used, or a plan cannot be written.
     """
     seeds = range(command.seed, command.seed + command.count)
-    if command.preset is not None:
-        scenes = [(sample_scene(seed, command.preset), seed) for seed in seeds]
+    if command.scene_class is not None:
+        scenes = [(sample_scene(seed, command.scene_class), seed) for seed in seeds]
     else:
         scenes = [(load_scene(path), command.seed) for path in command.scene]
     names = [scene.name for scene, _ in scenes]
@@ -28,19 +28,15 @@ def run(command: PlanCommand) -> None:
     if command.out is not None:
         _make_folder(command.out)
 
-    done = 0
-
-    def planned(plan: Plan) -> None:
-        nonlocal done
-        done += 1
-        if command.out is not None:
-            save_plan(command.out, plan)
-        progress.update(done, len(scenes))
-
+    plans: dict[int, Plan] = {}
     with Progress("scenes", every_s=None) as progress:
         progress.update(0, len(scenes))
-        plans = plan_scenes(scenes, command.config, on_plan=planned)
-    _show_plans(plans, command)
+        for i, plan in iter_plans(scenes, command.config):
+            plans[i] = plan
+            if command.out is not None:
+                save_plan(command.out, plan)
+            progress.update(len(plans), len(scenes))
+    _show_plans([plans[i] for i in range(len(scenes))], command)
 
 
 def _show_plans(plans: list[Plan], command: PlanCommand) -> None:

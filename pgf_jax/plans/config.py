@@ -1,61 +1,59 @@
-"""Settings of `plan`, from Python and on the command line; no JAX here, so that help is instant."""
+"""Settings of `plan`; no JAX here, so that help is instant."""
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.policies import after, check_ask
 from pgf_jax.guidance.operators.registry import check_operator
-from pgf_jax.planning.config import check_planning
-from pgf_jax.settings import MAX_SEED, check_choice, check_fields, check_int, check_seconds
-
-PRESETS = ("tight", "medium", "wide")
-MIN_TASK_S = 1.5  # the nominal's own rollout
+from pgf_jax.physics.config import PhysicsName
+from pgf_jax.physics.engine import check_engine
+from pgf_jax.planning.config import CostVariant, TaskLimit, Update
+from pgf_jax.scene import SceneClass
+from pgf_jax.settings import MAX_SEED, Count, Seconds, Seed, check_fields, check_int
 
 
 @dataclasses.dataclass(frozen=True)
 class PlanConfig:
-    """How scenes are planned (D3, D4); BadInput where a value is none of its kind.
+    """How scenes are planned; BadInput where a value is wrong.
 
     Attributes:
       engine: physics engine: planar, mjx, native, or a registered one.
-      physics: default, or the paper's substep and the authors' softness.
-      cost: cost variant: the authors' source, or the paper's text.
-      update: greedy keeps an iteration's winner (the paper's); stomp blends the noise by weight.
-      operator: who gives input: none, heuristic, or a registered one.
-      ask: when input is asked for: stuck, gain (predicted, needs checkpoints), never, or after:N
-        (N reach iterations after each restart or input). With operator none nothing is asked.
-      lanes: L, robots computed in one call; results are bit-equal for equal L only.
-      predictor: for --ask gain: paper or best, as shipped; or a folder of checkpoints, for the
-        paper's pair in it, or best:FOLDER.
-      service_mean: mean of the log-normal service time, s; it counts towards the limit.
-      service_sd: its standard deviation, s.
-      task_limit: planning, waiting and interaction allowed, s of simulated time.
+      physics: physics constants: default, or paper (its substep, and the authors' softness).
+      cost: cost terms: source (as the authors' published source has them), or paper (as its text).
+      update: how an iteration changes the best trajectory: greedy takes the cheapest rollout, as
+        the paper does; stomp blends the noise of all rollouts by weight.
+      operator: who gives input: heuristic, noisy, oracle, clairvoyant, none, or a registered one.
+      ask: when the robot asks for input: stuck, gain (the predicted gain is high enough), after:N
+        (after N reach iterations since each restart or input), or never.
+      lanes: L, robots computed in one call of the engine; results are bit-equal for equal L only.
+      predictor: what predicts the gain of input: paper or best, as shipped; a folder of
+        checkpoints, for the paper's pair of networks in it; or best:FOLDER.
+      service_mean: mean of a simulated operator's log-normal service time, s.
+      service_sd: standard deviation of the service time, s; 0 makes it constant.
+      task_limit: simulated time for planning, waiting and interaction in a task, s.
     """
 
     engine: str = "planar"
-    physics: Literal["default", "paper"] = "default"
-    cost: Literal["source", "paper"] = "source"
-    update: Literal["greedy", "stomp"] = "greedy"
+    physics: PhysicsName = "default"
+    cost: CostVariant = "source"
+    update: Update = "greedy"
     operator: str = "none"
     ask: str = "stuck"
-    lanes: int = 1
+    lanes: Count = 1
     predictor: str = "paper"
-    service_mean: float = 8.0
-    service_sd: float = 4.0
-    task_limit: float = 180.0
+    service_mean: Seconds = 8.0
+    service_sd: Seconds = 4.0
+    task_limit: TaskLimit = 180.0
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_planning(self)
+        check_engine(self.engine)
         check_operator(self.operator)
         check_ask(self.ask)
-        check_seconds("task_limit", self.task_limit, MIN_TASK_S)
-        for name in ("service_mean", "service_sd"):
-            check_seconds(name, getattr(self, name), 0.0)
 
     @property
     def policy(self) -> str:
@@ -70,34 +68,42 @@ class PlanConfig:
 
 @dataclasses.dataclass(frozen=True)
 class PlanCommand:
-    """Plan scenes, from files or sampled, in one batch; an unsolved plan is a result too.
+    """Plan scenes, from files or sampled, all in one batch.
+
+    A scene that is not solved has a plan too: the best one that was found.
 
     Attributes:
-      scene: scene files (the published MJCF); object_3 is the goal.
-      preset: sample scenes of this class instead.
-      seed: of the noise; with --preset, of the first scene too (the next ones count on).
+      scene: scene files (the authors' published MJCF) to plan; object_3 is the goal.
+      scene_class: sample scenes of this class instead of reading files: tight, medium or wide;
+        None: the files' scenes.
+      seed: seed of the noise; with --scene-class also of the first scene, and the next scenes count
+        on from there.
       count: how many scenes to sample.
-      out: folder for NAME.plan.json of each scene; by default none is written.
-      config: how they are planned.
+      out: folder for the plans, NAME.plan.json of each scene; None: no plan is written.
+      config: how the scenes are planned.
     """
 
     scene: tuple[Path, ...] = ()
-    preset: Annotated[str | None, tyro.conf.arg(metavar="{tight,medium,wide}")] = None
-    seed: int = 0
-    count: int = 1
+    scene_class: Annotated[SceneClass | None, tyro.conf.arg(aliases=["--preset"])] = None
+    seed: Seed = 0
+    count: Count = 1
     out: Path | None = None
     config: Annotated[PlanConfig, tyro.conf.arg(name="")] = dataclasses.field(
         default_factory=PlanConfig
     )
 
+    GROUPS = (  # of options, for the help
+        ("scene", ("scene", "scene_class", "count", "seed")),
+        ("planning", ("engine", "physics", "cost", "update", "lanes", "task_limit")),
+        ("operator", ("operator", "ask", "predictor", "service_mean", "service_sd")),
+        ("output", ("out",)),
+    )
+
     def __post_init__(self) -> None:
         check_fields(self)
-        if bool(self.scene) == (self.preset is not None):
+        if bool(self.scene) == (self.scene_class is not None):
             got = "both" if self.scene else "neither"
-            raise BadInput(f"--scene, --preset: expected one of the two, got {got}")
-        if self.preset is not None:
-            check_choice("preset", self.preset, list(PRESETS))
-        check_int("count", self.count, 1)
+            raise BadInput(f"--scene, --scene-class: expected one of the two, got {got}")
         if self.scene and self.count != 1:
-            raise BadInput(f"count: goes with preset only, got {self.count} with scene files")
+            raise BadInput(f"count: goes with scene_class only, got {self.count} with scene files")
         check_int("seed", self.seed, 0, MAX_SEED - self.count + 1)

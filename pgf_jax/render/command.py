@@ -1,4 +1,4 @@
-"""`render`: from a plan or a recorded session to a picture or a film."""
+"""The command `render`: draws a plan or a recorded session as a picture or a film."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -11,17 +11,17 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet.records import State
 from pgf_jax.render import fleet_view, movie
 from pgf_jax.render.config import RenderConfig
-from pgf_jax.render.view import View, make_view
+from pgf_jax.render.view import ShelfView, make_view
 from pgf_jax.simulation.snapshot import FleetSnapshot, RobotSnapshot
 
-_LOOK_NS = 250_000_000  # how closely a recording is searched for the first service
+_LOOK_NS = 250_000_000  # simulated time between snapshots in the search for the first service
 
 Size = tuple[int, int]
-Draw = Callable[[Size, View], np.ndarray]
+Draw = Callable[[Size, ShelfView], np.ndarray]  # draws one picture, [H, W, 3] uint8
 
 
 def render(config: RenderConfig) -> str:
-    """Draw what `config` asks for and write it; returns a line that says what was written.
+    """Draw a picture or a film and write its file; returns a line that describes the file.
 
     Raises:
       BadInput: the plan or the recording cannot be read or does not hold what is asked for, the
@@ -47,7 +47,7 @@ def render(config: RenderConfig) -> str:
 
 
 def _picture(config: RenderConfig) -> Draw:
-    """What draws the one picture."""
+    """The function that draws the picture."""
     if config.what == "plan":
         motion = _motion(config.file)
         time_s = motion.duration_s if config.at is None else config.at
@@ -75,7 +75,7 @@ def _picture(config: RenderConfig) -> Draw:
 
 
 def _first_served(config: RenderConfig) -> Draw:
-    """The first moment of a service; where there is none the last moment."""
+    """The function that draws the first moment of a service, or the last moment if none occurs."""
     draw: Draw | None = None
     if config.what == "fleet":
         for fleet in _recorded(config, every_ns=_LOOK_NS):
@@ -93,7 +93,7 @@ def _first_served(config: RenderConfig) -> Draw:
 
 
 def _film(config: RenderConfig) -> tuple[Iterator[Draw], int | None]:
-    """What draws each frame, and how many there are where that is known."""
+    """The functions that draw the frames, and the number of frames if it is known."""
     step_s = config.speed / config.fps
     if config.what == "plan":
         motion = _motion(config.file)
@@ -121,7 +121,7 @@ def _draw_robot(robot: RobotSnapshot, tasks: int) -> Draw:
 
 
 def _draw_plan(robot: RobotSnapshot) -> Draw:
-    """Under its scene's name: a plan's robot has no number."""
+    """The robot of a plan has no number, so the picture has the name of the scene."""
     return lambda size, view: fleet_view.draw_one(robot, size, view, name=robot.scene)
 
 
@@ -143,7 +143,7 @@ def _recorded(
 def _task(
     config: RenderConfig, *, every_ns: int, start_ns: int = 0, stop_ns: int | None = None
 ) -> Iterator[tuple[RobotSnapshot, int]]:
-    """One task of one robot: its snapshots, and how many tasks each robot has."""
+    """Snapshots of one task of one robot, each with the number of tasks of a robot."""
     began = False
     fleets = _recorded(config, every_ns=every_ns, start_ns=start_ns, stop_ns=stop_ns)
     for fleet in fleets:
@@ -172,7 +172,7 @@ def _robot(fleet: FleetSnapshot, config: RenderConfig) -> RobotSnapshot:
 
 
 def _on_task(robot: RobotSnapshot, config: RenderConfig) -> bool:
-    """A robot that has done all its tasks is at none."""
+    """Whether the robot is at the task that is asked for; it is at none once all are done."""
     return robot.task == config.task and robot.state is not State.IDLE
 
 

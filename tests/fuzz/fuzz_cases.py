@@ -19,7 +19,7 @@ import fuzz_mutate as mutate
 import numpy as np
 import polars as pl
 
-from pgf_jax.collection import collect
+from pgf_jax.collection import dataset
 from pgf_jax.errors import BadInput
 from pgf_jax.files import json_bytes, read_json, sha256
 from pgf_jax.fleet import Event, EventKind
@@ -27,7 +27,7 @@ from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.guidance.predictors import checkpoint
 from pgf_jax.guidance.predictors.features import STATE
-from pgf_jax.guidance.predictors.registry import PredictorSpec
+from pgf_jax.guidance.predictors.registry import PredictorSpec, predictor_spec
 from pgf_jax.inspection.config import VerifyConfig
 from pgf_jax.inspection.verify import verify
 from pgf_jax.operator_fit import lognormal
@@ -38,14 +38,15 @@ from pgf_jax.plans.file import Plan, load_plan, save_plan
 from pgf_jax.scene import Scene, load_scene, load_scenes, sample_scene
 from pgf_jax.simulation.planned_robots import Segment
 from pgf_jax.simulation.recorded_operator import Recording
-from pgf_jax.sweeping import cell_store
-from pgf_jax.sweeping.cell_store import MANIFEST, check_folder, keys_of
+from pgf_jax.sweeping import cell_file
+from pgf_jax.sweeping.cell_store import MANIFEST, CellStore
 from pgf_jax.sweeping.config import SweepConfig
-from pgf_jax.sweeping.replay import replaying, settings_of
-from pgf_jax.sweeping.resolve import Setup, provenance
-from pgf_jax.sweeping.sweep import _conclude
+from pgf_jax.sweeping.replay import replay_config, settings_of
+from pgf_jax.sweeping.resolve import ResolvedSweep, resolve
+from pgf_jax.sweeping.sweep import _write_results
 from pgf_jax.tables import event_log, results
 from pgf_jax.tables.forks import FORK_SCHEMA, read_forks, write_forks
+from pgf_jax.tables.parquet import encode_table
 from pgf_jax.tables.runs import Mode, RunLog, read_runs, write_runs
 from pgf_jax.training.rows import autonomous_rows, gain_rows, human_rows
 
@@ -232,13 +233,13 @@ def event_tables() -> list[bytes]:
     )
     return [
         _written(lambda path: event_log.write_log(path, EVENTS, about())),
-        results.parquet(results.events_frame(EVENTS)),
-        results.parquet(merged),
+        encode_table(results.events_frame(EVENTS)),
+        encode_table(merged),
     ]
 
 
 def task_tables() -> list[bytes]:
-    return [results.parquet(results.tasks_frame(records(n), lambda r, t: "x")) for n in (2, 5)]
+    return [encode_table(results.tasks_frame(records(n), lambda r, t: "x")) for n in (2, 5)]
 
 
 def plans() -> list[bytes]:
@@ -281,15 +282,17 @@ SWEEP = SweepConfig(
 )
 
 
-def setup(out: Path, **changes) -> Setup:
+def resolved(out: Path, **changes) -> ResolvedSweep:
+    """The sweep, without the networks that ship: nobody bids, and they take long to load."""
     config = dataclasses.replace(SWEEP, out=out, **changes)
-    return Setup(config, None, None, None, {}, 20)
+    nobody: Any = None
+    return resolve(config, {predictor_spec(config.predictor): (nobody, {})})
 
 
 @functools.cache
 def key() -> str:
     """Of the first cell."""
-    return keys_of(setup(Path("x")))[SWEEP.cells()[0]]
+    return resolved(Path("x")).cells[0].key
 
 
 @functools.cache
@@ -297,16 +300,14 @@ def finished() -> dict[str, bytes]:
     """The files of a finished sweep, by their paths in its folder."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        ours = setup(folder)
-        keys = keys_of(ours)
-        for cell, own in keys.items():
+        ours = resolved(folder)
+        for cell in ours.cells:
             tasks = results.tasks_frame(records(), lambda robot, task: "x")
-            about = provenance(ours, cell)
-            content = cell_store.Content(tasks, results.events_frame(EVENTS), about)
+            content = cell_file.Content(tasks, results.events_frame(EVENTS), cell.about())
             account = {"session": "0123", "host": {"name": "here", "pid": 7}, "attempt": 1}
             account |= {"wall_s": 1.5, "inputs": ours.config.inputs()}
-            cell_store.write(cell_store.path(folder, own), content.data(), account)
-        _conclude(ours, keys, set())
+            cell_file.write(cell_file.path(folder, cell.key), content.data(), account)
+        _write_results(CellStore(ours))
         return {
             str(path.relative_to(folder)): path.read_bytes()
             for path in sorted(folder.rglob("*"))
@@ -321,17 +322,16 @@ def cell_files() -> dict[str, bytes]:
 
 def foreign_cell() -> list[bytes]:
     """A cell of another seed."""
-    other = setup(Path("x"), seed=1)
-    (cell, _) = SWEEP.cells()
+    (other, _) = resolved(Path("x"), seed=1).cells
     (ours, _) = finished_cells()
-    return [dataclasses.replace(ours, about=provenance(other, cell)).data()]
+    return [dataclasses.replace(ours, about=other.about()).data()]
 
 
-def finished_cells() -> list[cell_store.Content]:
+def finished_cells() -> list[cell_file.Content]:
     files = {name: data for name, data in cell_files().items() if name.endswith(".parquet")}
     first = f"cells/{key()}.parquet"
     names = sorted(files, key=lambda name: name != first)
-    return [cell_store.decode(files[name], Path(name)) for name in names]
+    return [cell_file.decode(files[name], Path(name)) for name in names]
 
 
 def collect_settings() -> list[bytes]:
@@ -361,7 +361,7 @@ def _runs(folder: Path) -> None:
 
 
 def _part(folder: Path) -> None:
-    collect._scenes_in(folder / "part_0.parquet")
+    dataset._scenes_in(folder / "part_0.parquet")
 
 
 def _forks(folder: Path) -> None:
@@ -377,15 +377,14 @@ def _tasks(folder: Path) -> None:
 
 
 def _cell(folder: Path) -> None:
-    content = cell_store.read(cell_store.path(folder, key()))
+    content = cell_file.read(cell_file.path(folder, key()))
     results.task_records(content.tasks)
     results.event_log(content.events)
-    assert cell_store.decode(content.data(), folder).data() == content.data()
+    assert cell_file.decode(content.data(), folder).data() == content.data()
 
 
 def _check_folder(folder: Path) -> None:
-    ours = setup(folder)
-    check_folder(ours, keys_of(ours))
+    CellStore(resolved(folder))
 
 
 def _verify(folder: Path) -> None:
@@ -408,7 +407,7 @@ def _log(path: Path) -> None:
     for events in log.fleets:
         event_log.digest(events)
     Recording.of(log)
-    replaying(SweepConfig(operator="replay", log=path), log)
+    replay_config(SweepConfig(operator="replay", log=path), log)
 
 
 def _fit(path: Path) -> None:
@@ -454,7 +453,7 @@ READERS: dict[str, Reader] = {
     "part": Reader("part_0.parquet", _part, run_tables, mutate.PARQUET),
     "settings": Reader(
         "collect.json",
-        lambda f: collect._read_settings(f / "collect.json"),
+        lambda f: dataset._read_settings(f / "collect.json"),
         collect_settings,
         mutate.JSON,
     ),

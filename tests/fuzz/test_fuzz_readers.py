@@ -259,7 +259,7 @@ def test_an_end_of_this_process_ends_the_decoder(tmp_path):
     path = tmp_path / "runs.parquet"
     path.write_bytes(fuzz_cases.run_tables()[0])
     code = (
-        "import sys, os; from pgf_jax.guidance import decoder\n"
+        "import sys, os; from pgf_jax.tables import decoder\n"
         f"decoder.decode(open({str(path)!r}, 'rb').read())\n"
         "print(decoder._process._popen.pid, flush=True); os._exit(0)"
     )
