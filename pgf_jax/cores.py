@@ -1,4 +1,4 @@
-"""The cores that this process may use; where the system does not say (not Linux), all there are."""
+"""Processor cores: which cores this process may use, and how it is kept to some of them."""
 
 import contextlib
 import fcntl
@@ -9,29 +9,32 @@ from pathlib import Path
 
 
 def usable() -> list[int]:
-    """Their numbers, ascending."""
+    """Numbers of the cores that this process may use, ascending; not on Linux: all cores."""
     if hasattr(os, "sched_getaffinity"):
         return sorted(os.sched_getaffinity(0))
     return list(range(os.cpu_count() or 1))
 
 
 def pin(cores: Sequence[int]) -> None:
-    """Keep this process to some cores, where the system can; before JAX and MuJoCo count them."""
+    """Keep this process to some cores, where the system can.
+
+    Call it before JAX and MuJoCo count the cores.
+    """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores)
 
 
-_claimed: tuple[int, int] | None = None  # the core, and the open file that says so
+_claimed: tuple[int, int] | None = None  # the core, and the descriptor of its lock file
 
 
 def claim() -> int | None:
-    """Keep this thread, and those it starts, to a core that no other process has claimed.
+    """Keep this thread, and the threads it starts, to a core that no other process has claimed.
 
-    For processes that know nothing of each other, as the workers of a cluster: a file a core is
-    locked for as long as this process lives. Claimed once, the same core is kept to every time.
+    It serves processes that do not know of each other, such as the workers of a cluster. Each core
+    has a lock file, which this process locks as long as it lives. Later calls use the same core.
 
     Returns:
-      The core; None where there is none left, or no saying: then nothing changes.
+      The core; None if no core is left or lock files cannot be written: then nothing changes.
     """
     global _claimed
     if _claimed is None:

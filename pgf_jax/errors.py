@@ -1,13 +1,13 @@
-"""The one exception for bad input: the command line prints it as one line and exits with code 2."""
+"""Exceptions that the command line prints as one line: bad input, and lost workers."""
 
-LONGEST = 500  # characters of a message
+LONGEST = 500  # most characters of a message
 
 
 class BadInput(ValueError):
-    """Input that cannot be used; the message names it, its value and what was expected.
+    """Input that cannot be used; the command line exits with code 2.
 
-    What the message quotes may come from anywhere, so it is made one line of printable text here:
-    a file must not be able to draw on the terminal, or to fill it.
+    The message names the input, what was expected and its value. It may quote text of any file, so
+    it is made one line of printable text: a file must not draw on the terminal, or fill it.
     """
 
     def __init__(self, message: object = "") -> None:
@@ -15,9 +15,9 @@ class BadInput(ValueError):
 
 
 class WorkersLost(RuntimeError):
-    """What computes has gone, through no fault of the input; the command line exits with code 1.
+    """Worker processes died or cannot be reached; the command line exits with code 1.
 
-    The message says so in one line, and what is kept.
+    The input is not at fault. The message says in one line what happened and what is kept.
     """
 
     def __init__(self, message: object = "") -> None:
@@ -25,7 +25,7 @@ class WorkersLost(RuntimeError):
 
 
 def short_repr(value: object, most: int = 60) -> str:
-    """`repr` for a message: one line, not longer than `most`, whatever the value is."""
+    """`repr` for a message: one line of at most `most` characters, for any value."""
     try:
         text = " ".join(repr(value).split())
     except Exception:  # an int of too many digits, lists in lists in lists, or any foreign class
@@ -34,7 +34,7 @@ def short_repr(value: object, most: int = 60) -> str:
 
 
 def _one_line(text: str) -> str:
-    text = _shortened(text, 4 * LONGEST)  # before it is looked at letter by letter
+    text = _shortened(text, 4 * LONGEST)  # first, because the rest looks at each character
     if not text.isprintable():
         text = " ".join(text.splitlines())
         text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
@@ -42,7 +42,7 @@ def _one_line(text: str) -> str:
 
 
 def _shortened(text: str, most: int) -> str:
-    """Less its middle: what it is about is said first, and what was expected last."""
+    """Cut the middle out: the subject stands first, and what was expected stands last."""
     if len(text) <= most:
         return text
     tail = most // 3

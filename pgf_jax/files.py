@@ -1,4 +1,4 @@
-"""Files that may be anything: read whole, within limits, or not at all."""
+"""Reading and writing of files: with limits on size, and whole or not at all."""
 
 import contextlib
 import hashlib
@@ -15,30 +15,32 @@ from pgf_jax.errors import BadInput
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 MIB = 1 << 20
-TEMPORARY = ".tmp"  # ends the names of files that are being written
+TEMPORARY = ".tmp"  # suffix of files that are being written
 _LARGEST_JSON = 16 * MIB
 
 
+# -- reading -------------------------------------------------------------------------------------
+
+
 def open_file(path: Path | str, expected: str, most: int) -> BinaryIO:
-    """Open a regular file to be read.
+    """Open a regular file for reading.
 
     Args:
       path: the file.
       expected: what it should be, for the message.
-      most: bytes that it may have.
+      most: its largest size, bytes.
 
     Raises:
-      BadInput: one line that names the file: missing, larger, or none that has an end: reading from
-        a device or a pipe would wait, or go on, for ever.
+      BadInput: one line that names the file: missing, too large, or not a regular file, because
+        reading from a device or a pipe might never end.
     """
     try:
-        # Opening a pipe waits for somebody to write into it, unless told not to.
+        # Without O_NONBLOCK, opening a pipe waits until another process writes into it.
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except (FileNotFoundError, NotADirectoryError):
         raise BadInput(f"{path}: no such file, expected {expected}") from None
-    except (OSError, ValueError) as error:  # a name that no file can have is a ValueError
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise _unreadable(path, error, expected) from None
     try:
         about = os.fstat(file.fileno())
@@ -53,10 +55,10 @@ def open_file(path: Path | str, expected: str, most: int) -> BinaryIO:
 
 
 def read_file(path: Path | str, expected: str, most: int) -> bytes:
-    """The content of a regular file; see `open_file`."""
+    """Read a regular file; for arguments and errors see `open_file`."""
     with open_file(path, expected, most) as file:
         try:
-            # It may grow, some do not know their size, and of a log of the system's there is None.
+            # The size may be unknown or grow. Some files of the system return None.
             data = file.read(most + 1) or b""
         except OSError as error:
             raise _unreadable(path, error, expected) from None
@@ -65,8 +67,40 @@ def read_file(path: Path | str, expected: str, most: int) -> bytes:
     return data
 
 
+def read_json(path: Path, expected: str = "results of a sweep") -> dict[str, Any]:
+    """Read a JSON object.
+
+    Args:
+      path: the file.
+      expected: what it should be, for the message.
+
+    Raises:
+      BadInput: one line that names the file: missing, truncated, corrupt or not an object.
+    """
+    data = read_file(path, expected, _LARGEST_JSON)  # not inside try: a BadInput is a ValueError
+    try:
+        content = parse_json(data)
+    except ValueError as error:
+        raise BadInput(f"{path}: truncated or corrupt, not JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise BadInput(f"{path}: expected a JSON object, got a {type(content).__name__}")
+    return content
+
+
+def parse_json(data: bytes | str) -> Any:
+    """Parse JSON.
+
+    Raises:
+      ValueError: the text is not JSON, or nested too deeply.
+    """
+    try:
+        return json.loads(data)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+
+
 def is_folder(path: Any) -> bool:
-    """Whether there is such a folder; of a name that none can have, there is not."""
+    """Whether there is such a folder; False for a name that no folder can have."""
     try:
         return path.is_dir()
     except (OSError, ValueError):
@@ -74,33 +108,11 @@ def is_folder(path: Any) -> bool:
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is such a file; of a name that none can have, there is not."""
+    """Whether there is such a file; False for a name that no file can have."""
     try:
         return path.is_file()
     except (OSError, ValueError):
         return False
-
-
-def sync_folder(folder: Path) -> None:
-    """Have the names of a folder's files on the disk, as their content is after `os.fsync`."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        with contextlib.suppress(OSError):  # some file systems cannot, and need not
-            os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def parse_json(data: bytes | str) -> Any:
-    """What JSON says.
-
-    Raises:
-      ValueError: it is not JSON, or nested too deeply to be anything of ours.
-    """
-    try:
-        return json.loads(data)
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
 
 
 def _unreadable(path: Path | str, error: Exception, expected: str) -> BadInput:
@@ -114,11 +126,14 @@ def _too_large(path: Path | str, size: int, most: int, expected: str) -> BadInpu
     )
 
 
-def write_atomically(path: Path | str, data: bytes) -> None:
-    """Write a file whole or not at all, making its folder where needed.
+# -- writing -------------------------------------------------------------------------------------
 
-    It is on the disk when this returns, and so is its name: neither a crash of the process nor one
-    of the machine leaves a part of it.
+
+def write_atomically(path: Path | str, data: bytes) -> None:
+    """Write a file whole or not at all; its folder is made if needed.
+
+    The content and the name are on the disk when this returns: a crash of the process or of the
+    computer never leaves a part of the file.
 
     Raises:
       BadInput: it cannot be written there.
@@ -136,13 +151,36 @@ def write_atomically(path: Path | str, data: bytes) -> None:
         finally:
             temporary.unlink(missing_ok=True)
         sync_folder(path.parent)
-    except (OSError, ValueError) as error:  # a name that no file can have is a ValueError
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         reason = getattr(error, "strerror", None) or error
         raise BadInput(f"{path}: cannot be written ({reason})") from error
 
 
+def sync_folder(folder: Path) -> None:
+    """Flush a folder's file names to the disk, as `os.fsync` does for the content of a file."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # some file systems do not support it
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+# -- contents ------------------------------------------------------------------------------------
+
+
+def json_bytes(content: Mapping[str, Any]) -> bytes:
+    """The bytes of a JSON file that people can read, too."""
+    return (json.dumps(content, indent=2) + "\n").encode()
+
+
 def png(figure: "Figure", about: Mapping[str, Any] | None = None) -> bytes:
-    """The figure as a PNG file, with where it comes from; the same one gives the same bytes."""
+    """The bytes of a PNG file; the same figure gives the same bytes.
+
+    Args:
+      figure: what to draw.
+      about: its provenance, stored as JSON in the file's description; None: nothing.
+    """
     buffer = io.BytesIO()
     text = {} if about is None else {"Description": json.dumps(about, sort_keys=True)}
     figure.savefig(buffer, format="png", dpi=150, metadata=text)
@@ -150,30 +188,5 @@ def png(figure: "Figure", about: Mapping[str, Any] | None = None) -> bytes:
 
 
 def sha256(data: bytes) -> str:
-    """Hex digest."""
+    """The SHA-256 digest of some bytes, in hex."""
     return hashlib.sha256(data).hexdigest()
-
-
-def read_json(path: Path, expected: str = "results of a sweep") -> dict[str, Any]:
-    """Read a JSON object.
-
-    Args:
-      path: the file.
-      expected: what it should be, for the message.
-
-    Raises:
-      BadInput: one line that names the file: missing, truncated, corrupt or not an object.
-    """
-    data = read_file(path, expected, _LARGEST_JSON)  # its BadInput is a ValueError too
-    try:
-        content = parse_json(data)
-    except ValueError as error:
-        raise BadInput(f"{path}: truncated or corrupt, not JSON ({error})") from error
-    if not isinstance(content, dict):
-        raise BadInput(f"{path}: expected a JSON object, got a {type(content).__name__}")
-    return content
-
-
-def json_bytes(content: Mapping[str, Any]) -> bytes:
-    """A JSON file for people to read as well."""
-    return (json.dumps(content, indent=2) + "\n").encode()

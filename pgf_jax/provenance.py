@@ -1,4 +1,7 @@
-"""Where a number comes from: versions, code, processor; and the host, which is not to matter."""
+"""Provenance of results: versions, code, device and processor; and the host.
+
+Results may depend on all of these except the host.
+"""
 
 import functools
 import hashlib
@@ -14,26 +17,26 @@ from typing import Any
 import jax
 
 PACKAGES = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "numpy")
-# Results of another release of these may differ in the last bits, and then in everything.
+# Results of another release of these may differ in the last bits, and then in everything else.
 DECISIVE = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx")
 
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Of Python and of the packages that results depend on."""
+    """Versions of Python and of the packages that results depend on."""
     packages = {name: importlib.metadata.version(name) for name in PACKAGES}
     return {"python": platform.python_version()} | packages
 
 
 @functools.cache
 def device() -> str:
-    """What JAX computes on: backend and kind."""
+    """The device that JAX computes on: backend and kind."""
     return f"{jax.default_backend()}: {jax.devices()[0].device_kind}"
 
 
 @functools.cache
 def processor() -> str:
-    """The type of the processor: on one type, results are the same to the last bit."""
+    """The type of the processor; on one type, results are equal to the last bit."""
     name = platform.processor()
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
@@ -47,10 +50,10 @@ def processor() -> str:
 
 @functools.cache
 def code() -> dict[str, Any]:
-    """The code that runs: its commit, where it is known, and a digest of it, which always is.
+    """The code that runs: its commit, if known, and a digest of its source.
 
     Returns:
-      `git`: see `git_commit`; `source_sha256`: of the package's modules, their names included.
+      `git`: see `git_commit`; `source_sha256`: digest of the package's modules and their names.
     """
     package = Path(__file__).resolve().parent
     digest = hashlib.sha256()
@@ -62,8 +65,8 @@ def code() -> dict[str, Any]:
 
 
 def git_commit(root: Path) -> dict[str, Any] | None:
-    """The commit checked out in a folder, and whether its files differ from it; None if unknown."""
-    if not (root / ".git").exists():  # installed: a repository around it would be another one
+    """The commit checked out in a folder, and whether files are modified; None if unknown."""
+    if not (root / ".git").exists():  # installed: a repository around it is another project's
         return None
     try:
         commit, status = (
@@ -74,7 +77,7 @@ def git_commit(root: Path) -> dict[str, Any] | None:
                 check=True,
                 timeout=10,
             ).stdout
-            # Not files that git does not know: results may be among them, and come and go.
+            # Untracked files do not count: they may be results.
             for words in (["rev-parse", "HEAD"], ["status", "--porcelain", "-uno"])
         )
     except (OSError, subprocess.SubprocessError):
@@ -83,7 +86,7 @@ def git_commit(root: Path) -> dict[str, Any] | None:
 
 
 def environment() -> dict[str, Any]:
-    """All of these that may decide on results, as JSON."""
+    """Everything here that results may depend on, as JSON."""
     return {
         "versions": versions(),
         "device": device(),
@@ -93,13 +96,13 @@ def environment() -> dict[str, Any]:
 
 
 def kind() -> dict[str, str]:
-    """What a worker must have in common with whoever asks it, for the same results to come out."""
+    """What a worker and its caller must have in common, so that results are the same."""
     decisive = {name: versions()[name] for name in DECISIVE}
     return {**decisive, "device": device(), "source": code()["source_sha256"]}
 
 
 def host() -> dict[str, Any]:
-    """The computer, and the process."""
+    """The computer and the process; results do not depend on them."""
     return {
         "name": socket.gethostname(),
         "pid": os.getpid(),

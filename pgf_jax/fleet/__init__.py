@@ -1,9 +1,10 @@
-"""The fleet: simulated clock, allocation policies, simulator (core 2) and metrics.
+"""The fleet: a discrete-event simulation of robots that share human operators (Alg. 2).
 
-Start with `simulator.py`: events come in time order, robots' work goes out as requests, results
-come back. `course.py` says what happens at each event; `allocator.py` is Alg. 2; `policies.py` says
-who asks and when; `stub.py` runs a whole fleet without any physics. Nothing here knows of JAX or
-MuJoCo.
+Read `simulator.py` first: it takes events in time order, hands out the robots' work and takes the
+results back. `event_handlers.py` holds what each event changes, `allocator.py` is Alg. 2,
+`policies.py` says when a robot asks, `stub.py` runs a fleet without physics.
+
+May import `planning.types`, `settings`, `streams` and `errors`; nothing of JAX or MuJoCo.
 """
 
 from pgf_jax.fleet.config import FleetConfig

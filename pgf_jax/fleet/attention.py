@@ -1,6 +1,6 @@
-"""How operators' attention is spent: who asks, who waits, whom it helps and how evenly it goes.
+"""Metrics of the operators' attention: asks, waiting, the effect of help, and fairness.
 
-Everything is computed from one fleet's records and events, as in `metrics.py`.
+They are computed from one fleet's records and events, as in `metrics.py`.
 """
 
 import dataclasses
@@ -16,45 +16,46 @@ from pgf_jax.fleet.metrics import (
     flat_row,
     mean_interval,
     rate_interval,
+    ratio,
     summarise,
 )
 from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.planning.types import Status
 
-# Help that lowers the cost by no more than this was wasted, in units of cost: as a robot asks for
-# help only where it expects more than this of it (D6).
-ENOUGH = 1.0
+# An answer that lowers the cost by no more than this is wasted, in units of cost. It is the default
+# of `bid_threshold`, the gain that a robot must expect before it asks.
+MIN_COST_DROP = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Attention:
-    """One cell's use of its operators. Intervals are 95 %: t for means, Wilson for rates.
+    """How one cell used its operators. Intervals are 95 %: t for means, Wilson for rates.
 
     Tasks that the horizon cut off count as in `CellSummary`: in totals of asks, answers, grants and
-    times and in what is read from events, but not in what is about the outcome of a task or of an
+    times and in what is computed from events, but not in metrics of the outcome of a task or of an
     answer (`waiting_per_task_s`, `wasted`, `cost_drop`, `fairness_throughput`). The wait of an ask
-    that the horizon cut off is the wait until then, so that `waiting_per_ask_s` times the asks is
-    all waiting.
+    that the horizon cut off ends at the horizon, so that `waiting_per_ask_s` times the number of
+    asks is all waiting.
 
     Attributes:
-      policy, robots, operators, seed: which cell.
+      policy, robots, operators, seed: the cell.
       utilisation: busy share of the operators' time.
-      waiting_per_ask_s: over all asks; refused at once is a wait of 0 s. A robot that finds all
-        operators busy under a policy with windows does not ask.
+      waiting_per_ask_s: over all asks; an ask refused at once waits 0 s. Under a policy with
+        windows, a robot that finds all operators busy does not ask.
       waiting_per_task_s: over all tasks that ended.
       refused, expired: shares of the asks.
       go_on: share of the answers that were "go on reaching".
       dropped: share of the answers that were a push that was dropped.
       wasted: share of the answers after which the cost (`TaskRecord.helped_cost`) was not lower by
-        more than `ENOUGH`, among those with both costs known. That the cost was lower does not mean
-        that it would not have been without help.
-      cost_drop: cost at the answer minus cost after it, over the same answers, but for those with a
-        cost that is not finite.
-      services_per_robot_hour: grants by hour that robots spent on tasks.
+        more than `MIN_COST_DROP`, among those with both costs known. The cost might have become
+        lower without help, too.
+      cost_drop: cost at the answer minus cost after it, over the same answers without those that
+        have a cost that is not finite.
+      services_per_robot_hour: grants per hour that robots spent on tasks.
       fairness_grants, fairness_throughput, fairness_waiting: Jain's index over robots, of grants,
         of solved tasks per simulated hour until the robot's last task ended, and of waiting time;
         nan where all are 0.
-      largest_share: of the grants, the share of the robot with the most; nan without grants.
+      largest_share: share of the grants that went to the robot with the most; nan without grants.
     """
 
     policy: str
@@ -77,17 +78,17 @@ class Attention:
     largest_share: float
 
     def row(self) -> dict[str, str | int | float]:
-        """Flat, for a table; see `metrics.flat_row`."""
+        """The metrics as a flat row; see `metrics.flat_row`."""
         return flat_row(self)
 
 
 def attention(
     config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
 ) -> Attention:
-    """How the operators' attention was spent in one fleet that is done.
+    """Compute how the operators' attention was spent in one fleet that is done.
 
     Args:
-      config: the fleet's.
+      config: the fleet's settings.
       records: its task records, in any order.
       events: its event log, in order.
     """
@@ -99,8 +100,8 @@ def attention(
         for before, after in zip(record.asked_cost, record.helped_cost, strict=True)
         if not (math.isnan(before) or math.isnan(after))
     ]
-    # Both costs infinite: their difference is nan, which exceeds nothing, so that counts as wasted.
-    wasted = sum(not before - after > ENOUGH for before, after in costs)
+    # If both costs are infinite, their difference is nan, and the answer counts as wasted.
+    wasted = sum(not before - after > MIN_COST_DROP for before, after in costs)
     drops = [before - after for before, after in costs if math.isfinite(before - after)]
     go_on = sum(e.kind is EventKind.SERVICE_END and e.outcome == "go_on" for e in events)
     dropped = sum(event.kind is EventKind.PUSH_DROPPED for event in events)
@@ -128,20 +129,20 @@ def attention(
         dropped=rate_interval(dropped, summary.answered),
         wasted=rate_interval(wasted, len(costs)),
         cost_drop=mean_interval(drops),
-        services_per_robot_hour=_ratio(summary.grants * NS_PER_HOUR, sum(at_tasks_ns)),
-        fairness_grants=jain(grants),
-        # A robot begins a task at the instant at which the one before ends, so its tasks take all
-        # its time until the last one ends. None is solved in no time: that robot's rate is 0.
-        fairness_throughput=jain(
+        services_per_robot_hour=ratio(summary.grants * NS_PER_HOUR, sum(at_tasks_ns)),
+        fairness_grants=jain_index(grants),
+        # A robot begins a task when the one before ends, so its tasks take all its time until the
+        # last one ends. A robot whose tasks took no time solved none, so its rate is 0.
+        fairness_throughput=jain_index(
             [n / max(ns, 1) for n, ns in zip(solved, at_tasks_ns, strict=True)]
         ),
-        fairness_waiting=jain(by_robot(lambda record: nanoseconds(record.waiting_s))),
-        largest_share=_ratio(max(grants), sum(grants)),
+        fairness_waiting=jain_index(by_robot(lambda record: nanoseconds(record.waiting_s))),
+        largest_share=ratio(max(grants), sum(grants)),
     )
 
 
 def waits_s(events: Iterable[Event]) -> list[float]:
-    """How long each ask waited until it was granted, refused, expired or cut off, s."""
+    """Time that each ask waited until it was granted, refused, expired or cut off, s."""
     since, waits = {}, []
     for event in events:
         if event.kind is EventKind.BID:
@@ -151,13 +152,10 @@ def waits_s(events: Iterable[Event]) -> list[float]:
     return waits
 
 
-def jain(values: Sequence[float]) -> float:
+def jain_index(values: Sequence[float]) -> float:
     """Jain's index of fairness, (sum x)^2 / (n sum x^2); nan where all are 0.
 
-    1 where all have the same, 1/n where one has everything (Jain, Chiu & Hawe, 1984).
+    It is 1 where all values are equal, 1/n where one value is the whole sum (Jain, Chiu & Hawe,
+    1984).
     """
-    return _ratio(sum(values) ** 2, len(values) * sum(value * value for value in values))
-
-
-def _ratio(numerator: float, denominator: float) -> float:
-    return numerator / denominator if denominator else math.nan
+    return ratio(sum(values) ** 2, len(values) * sum(value * value for value in values))

@@ -1,20 +1,20 @@
-"""Compute models (D8): how much longer an iteration takes than on a computer of its own."""
+"""Compute models: how much slower an iteration is than on a dedicated computer."""
 
 import dataclasses
 from typing import Protocol
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, short_repr
 
 
 class ComputeModel(Protocol):
-    """Stretches the simulated time of planning. `Fleet` takes any object with this method."""
+    """Slows simulated planning down. `Fleet` takes any object with this method."""
 
     def slowdown(self, robot: int, task: int, iteration: int, planning: int) -> float:
-        """Factor on an iteration's time, asked once, at the iteration's start.
+        """Factor on an iteration's time; called once, when the iteration starts.
 
         Args:
           robot, task, iteration: which iteration starts, counted as in `Work`.
-          planning: A, the number of robots that plan at this instant, this one included.
+          planning: A, the number of robots that plan at this instant, including this robot.
         """
         ...
 
@@ -24,15 +24,16 @@ class Dedicated:
     """Each robot has its own computer."""
 
     def slowdown(self, robot: int, task: int, iteration: int, planning: int) -> float:
-        """1, always."""
+        """Always 1."""
         return 1.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Shared:
-    """All robots share `cores` cores: max(1, K A / C), K threads a robot.
+    """All robots share `cores` cores: the factor is max(1, K A / C), with K threads a robot.
 
-    With the paper's C = 96 and K = 8, 12 robots fill the computer and 30 oversubscribe it.
+    With C = 96 (Papallas & Dogar 2022) and K = 8, 12 robots use the whole computer and 30
+    oversubscribe it.
     """
 
     cores: int  # C
@@ -44,13 +45,21 @@ class Shared:
 
 
 def parse_compute(text: str, *, rollouts: int = 8) -> ComputeModel:
-    """The model that `dedicated` or `shared:C` names; BadInput for anything else."""
+    """Parse `dedicated` or `shared:C`.
+
+    Args:
+      text: the name.
+      rollouts: K, threads that one robot uses.
+
+    Raises:
+      BadInput: `text` is neither.
+    """
     if text == "dedicated":
         return Dedicated()
     name, _, cores = str(text).partition(":")
-    # isdecimal alone lets other scripts' digits through; int() would take '1_0' and ' 3', and not
+    # isdecimal alone accepts digits of other scripts; int() accepts '1_0' and ' 3', and fails on
     # thousands of digits.
     is_number = cores.isascii() and cores.isdecimal() and len(cores) < 10
     if name == "shared" and is_number and int(cores) > 0:
         return Shared(int(cores), rollouts)
-    raise BadInput(f"compute must be 'dedicated' or 'shared:C' with C cores, C >= 1, got {text!r}")
+    raise BadInput(f"compute: expected dedicated, or shared:C with C cores, got {short_repr(text)}")

@@ -1,4 +1,4 @@
-"""The simulated clock (D8): integer nanoseconds and a calendar with a fixed order of ties."""
+"""The event calendar: simulated time in integer nanoseconds, and a fixed order of ties."""
 
 import enum
 import heapq
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from pgf_jax.fleet.robots import Work
 
-# In place of a robot, for what concerns all of them.
+# Stand in place of a robot, for events of the whole fleet and of the operators.
 FLEET = -1
 OPERATORS = -2
 
@@ -17,11 +17,12 @@ def nanoseconds(seconds: float) -> int:
 
 
 class EventPriority(enum.IntEnum):
-    """Who goes first at one instant: the order of D8, then the robot's index.
+    """Priority of simultaneous events; ties break by robot index.
 
-    D8 does not place the limit of a waiting robot. Here it comes first, so that no operator turns
-    to a robot at the instant at which it has no time left. Nor does it place the coming and going
-    of operators: one who leaves with an answer takes on nobody at that instant.
+    A bid made at the instant at which the window closes is still inside it. The limit of a waiting
+    robot comes first, so that no operator turns to a robot that has no time left. An operator who
+    leaves comes before the end of a service, so that an operator who leaves and answers at one
+    instant does not take on another robot.
     """
 
     EXPIRY = 0
@@ -34,38 +35,38 @@ class EventPriority(enum.IntEnum):
 
 
 class ScheduledEvent(NamedTuple):
-    """An entry of the calendar; compares by time, order, robot."""
+    """An entry of the calendar; entries compare by time, priority and robot."""
 
     time_ns: int
     priority: EventPriority
     robot: int
     serial: int  # unique, so that no comparison goes further
-    work: Work | None  # must be delivered before this can happen
+    work: Work | None  # its result must be delivered before the event can be handled
 
 
 class Calendar:
-    """What happens when. Each robot (and `FLEET`, `OPERATORS`) has at most one entry: its next.
+    """Scheduled events in time order. Each robot (and `FLEET`, `OPERATORS`) has at most one.
 
     Attributes:
-      last_ns: the horizon, whole ns, or inf: what comes later does not happen.
+      horizon_ns: the horizon, whole ns, or inf; later events are not handled.
     """
 
-    def __init__(self, last_ns: float) -> None:
-        self.last_ns = last_ns
+    def __init__(self, horizon_ns: float) -> None:
+        self.horizon_ns = horizon_ns
         self._heap: list[ScheduledEvent] = []
         self._valid: dict[int, int] = {}  # robot -> serial of its entry
         self._serial = 0
 
     def schedule(
-        self, time_ns: int, order: EventPriority, robot: int, work: Work | None = None
+        self, time_ns: int, priority: EventPriority, robot: int, work: Work | None = None
     ) -> None:
-        """Set the robot's next event, in place of the one it had."""
+        """Set the robot's next event; it replaces the one before, if there was one."""
         self._serial += 1
         self._valid[robot] = self._serial
-        heapq.heappush(self._heap, ScheduledEvent(time_ns, order, robot, self._serial, work))
+        heapq.heappush(self._heap, ScheduledEvent(time_ns, priority, robot, self._serial, work))
 
     def cancel(self, robot: int) -> None:
-        """Take the robot's next event out, if it has one."""
+        """Remove the robot's next event, if it has one."""
         self._valid.pop(robot, None)
 
     def peek(self) -> ScheduledEvent | None:
@@ -75,9 +76,9 @@ class Calendar:
         return self._heap[0] if self._heap else None
 
     def pop(self) -> ScheduledEvent:
-        """Take the next event out; there must be one."""
-        due = self.peek()
-        assert due is not None
+        """Remove and return the next event; there must be one."""
+        scheduled = self.peek()
+        assert scheduled is not None
         heapq.heappop(self._heap)
-        del self._valid[due.robot]
-        return due
+        del self._valid[scheduled.robot]
+        return scheduled

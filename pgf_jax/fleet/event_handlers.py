@@ -1,8 +1,8 @@
-"""What happens at each event of a fleet: to its robots, their tasks and its operators.
+"""Event handlers of one fleet (Alg. 2).
 
-`simulator.py` says when: it takes the events from the calendar in time order, once the results that
-they need are there. Here is what each of them brings about: changes of the robots' tasks and of the
-operators, lines of the log, new entries of the calendar and new requests for work.
+`simulator.py` takes events from the calendar in time order, once the results that they need have
+been delivered. A handler changes the robots' tasks and the operators, writes to the event log,
+schedules further events and requests work.
 """
 
 import bisect
@@ -32,27 +32,27 @@ from pgf_jax.planning.types import NoInput, Push, Status
 
 
 class Attendance(NamedTuple):
-    """An operator comes or leaves."""
+    """A change of an operator's presence at one time."""
 
     time_ns: int
     operator: int
     present: bool
 
 
-def _time(change: Attendance) -> int:
+def _by_time(change: Attendance) -> int:
     return change.time_ns
 
 
 class EventHandlers:
-    """The course of things in one fleet (D4, D7, D8; Alg. 2).
+    """The state of one fleet, and a handler for each kind of scheduled event (Alg. 2).
 
     Attributes:
-      events: the log so far, in order.
-      records: one per task that has ended, in order of their ends.
-      now_ns: simulated time of what happened last, ns.
-      runs: robot -> the task it is at; none before its first.
-      operators: who is there, and busy with whom.
-      starting: robots that start to plan at this instant.
+      events: the event log so far, in order.
+      records: one for each task that has ended, in order of their ends.
+      now_ns: simulated time of the last event handled, ns.
+      runs: robot -> its running task; no entry before its first task.
+      operators: which operators are present, and whom they serve.
+      starting: robots that start an iteration at this instant.
     """
 
     def __init__(
@@ -60,13 +60,13 @@ class EventHandlers:
         config: FleetConfig,
         robots: Robots,
         calendar: Calendar,
-        ledger: WorkTracker,
+        work: WorkTracker,
         *,
         service: ServiceTimes,
         compute: ComputeModel,
         attendance: Iterable[Attendance],
     ) -> None:
-        """Put the first events into the calendar; for the arguments see `Fleet`."""
+        """Schedule the first events; for the arguments see `Fleet`."""
         self.events: list[Event] = []
         self.records: list[TaskRecord] = []
         self.now_ns = 0
@@ -76,7 +76,7 @@ class EventHandlers:
         self._config = config
         self._robots = robots
         self._calendar = calendar
-        self._work = ledger
+        self._work = work
         self._service = service
         self._compute = compute
         self._policy = make_policy(config)
@@ -85,33 +85,33 @@ class EventHandlers:
         )
         self._rollout_ns = nanoseconds(config.rollout_time_s)
         self._next_task = [0] * config.robots
-        # Still to come; at one instant in the order given.
-        self._attendance = sorted(attendance, key=_time)
+        # Changes that are still to come; simultaneous ones in the order given.
+        self._attendance = sorted(attendance, key=_by_time)
         self._schedule_attendance()
         for robot in range(config.robots):
             self._calendar.schedule(0, EventPriority.NEW_TASK, robot)
 
     # --- events ---------------------------------------------------------------------------------
 
-    def handle(self, due: ScheduledEvent) -> None:
-        """Let an event happen; if it needs a result, the ledger has it."""
-        self.now_ns = due.time_ns
-        result = self._work.consume(due.work)
-        if due.priority is EventPriority.WINDOW_CLOSE:
+    def handle(self, scheduled: ScheduledEvent) -> None:
+        """Handle an event; the result that it needs, if any, must have been delivered."""
+        self.now_ns = scheduled.time_ns
+        result = self._work.consume(scheduled.work)
+        if scheduled.priority is EventPriority.WINDOW_CLOSE:
             self._on_window_close()
-        elif due.priority is EventPriority.ATTENDANCE:
+        elif scheduled.priority is EventPriority.ATTENDANCE:
             self._on_attendance()
-        elif due.priority is EventPriority.NEW_TASK:
-            self._on_new_task(due.robot)
+        elif scheduled.priority is EventPriority.NEW_TASK:
+            self._on_new_task(scheduled.robot)
         else:
-            run = self.runs[due.robot]
-            if due.priority is EventPriority.EXPIRY:
+            run = self.runs[scheduled.robot]
+            if scheduled.priority is EventPriority.EXPIRY:
                 self._on_expiry(run)
-            elif due.priority is EventPriority.SERVICE_END:
+            elif scheduled.priority is EventPriority.SERVICE_END:
                 assert not isinstance(result, IterationResult)
-                self._on_service_end(run, result, expired=due.work is None)
-            elif due.priority is EventPriority.EXECUTION_END:
-                self._on_execution_end(run, retreated=due.work is not None)
+                self._on_service_end(run, result, expired=scheduled.work is None)
+            elif scheduled.priority is EventPriority.EXECUTION_END:
+                self._on_execution_end(run, retreated=scheduled.work is not None)
             elif run.checking:
                 self._execute_reach(run)
             else:
@@ -129,7 +129,7 @@ class EventHandlers:
 
     def _on_iteration_end(self, run: TaskRun, result: IterationResult) -> None:
         iteration = run.work_iterations
-        run.count(result)
+        run.count_iteration(result)
         self._log(
             EventKind.ITERATION,
             run,
@@ -138,7 +138,7 @@ class EventHandlers:
             object=run.push.object if run.push else None,
             outcome="feasible" if result.feasible else "stuck" if result.stuck else None,
         )
-        # Feasibility is tested before anything is asked (D4).
+        # Feasibility is tested before the policy is asked whether to ask for help.
         if result.feasible and run.push is not None:
             self._execute_push(run)
         elif result.feasible:
@@ -147,14 +147,14 @@ class EventHandlers:
         elif run.push is not None:
             self._plan(run)
         elif self.now_ns + 2 * self._rollout_ns > run.deadline_ns:
-            # Out of time. It asks nothing: an operator's time would be spent on a robot that has
-            # none left to plan with. (A shared computer may still turn out too slow: see below.)
-            self._end_task(run, run.failure())
+            # Out of time. The robot does not ask: it would have no time left to use the input.
+            # (On a shared computer an iteration may take even longer: see `_start_iteration`.)
+            self._end_task(run, run.failure_status())
         else:
             self._ask_or_plan(run, self._policy.bid(result, run.progress(self.now_ns)))
 
     def _on_window_close(self) -> None:
-        winners, losers = self._allocator.close(free=self.operators.free)
+        winners, losers = self._allocator.close_window(free=self.operators.free)
         self._log(EventKind.WINDOW_CLOSE)
         for robot in winners:
             self._grant(self.runs[robot])
@@ -163,45 +163,45 @@ class EventHandlers:
 
     def _on_attendance(self) -> None:
         _, operator, present = self._attendance.pop(0)
-        self.operators.attend(operator, present)
+        self.operators.set_present(operator, present)
         kind = EventKind.OPERATOR_BACK if present else EventKind.OPERATOR_AWAY
         self._log(kind, operator=operator)
         self._schedule_attendance()
-        self._match()
+        self._serve_waiting()
 
     def _on_expiry(self, run: TaskRun) -> None:
         self._allocator.withdraw(run.robot)
         run.expired += 1
         self._log(EventKind.EXPIRED, run, request=run.request, outcome="limit")
-        self._end_task(run, run.failure())
+        self._end_task(run, run.failure_status())
 
     def _on_service_end(self, run: TaskRun, given: Push | NoInput | None, *, expired: bool) -> None:
         operator = self.operators.release(run.robot)
         ending: dict[str, Any] = {"request": run.request, "operator": operator}
         if expired:
-            self._work.close(run.robot)
+            self._work.cancel_open_input(run.robot)
             run.expired += 1
             self._log(EventKind.SERVICE_END, run, outcome="expired", **ending)
-            self._end_task(run, run.failure())
+            self._end_task(run, run.failure_status())
         else:
             if isinstance(given, Push):
                 ending |= {"object": given.object, "x": given.x, "y": given.y, "outcome": "push"}
             else:
                 ending["outcome"] = "go_on" if given is None else given.value
             self._log(EventKind.SERVICE_END, run, **ending)
-            run.answer(given)
+            run.count_input(given)
             if isinstance(given, Push):
                 self._robots.start_push(run.robot, given)
                 run.push = given
                 run.push_deadline_ns = self.now_ns + nanoseconds(self._config.push_limit_s)
                 run.pushes_planned += 1
-                run.new_segment()
+                run.start_segment()
             elif run.nominal_done:
                 self._robots.go_on(run.robot)
                 run.stuck = False
                 run.since_restart = 0
             self._plan(run)
-        self._match()
+        self._serve_waiting()
 
     def _on_execution_end(self, run: TaskRun, *, retreated: bool) -> None:
         if run.push is None:
@@ -215,23 +215,23 @@ class EventHandlers:
         else:
             self._log(EventKind.RETREAT_END, run, object=run.push.object)
             run.push = None
-            run.new_segment()
+            run.start_segment()
             self._plan(run)
 
-    # --- what robots do next --------------------------------------------------------------------
+    # --- planning and execution -----------------------------------------------------------------
 
     def _plan(self, run: TaskRun) -> None:
-        """Start the next iteration, or the final check, once this instant is over.
+        """Start the next iteration, or the final check, at the end of this instant.
 
-        Not at once: A, the number of robots planning, must not depend on which of the robots that
-        start at one instant is dealt with first.
+        It does not start at once, because A, the number of robots planning, must not depend on the
+        order in which simultaneous events are handled.
         """
-        self._calendar.cancel(run.robot)  # a waiting robot's expiry
+        self._calendar.cancel(run.robot)  # the expiry of a robot that waited
         run.enter(State.PLANNING, self.now_ns)
         self.starting.append(run.robot)
 
     def start_iterations(self) -> None:
-        """Let those in `starting` start, now that this instant is over."""
+        """Start the iterations of the robots in `starting`, at the end of an instant."""
         starting, self.starting = sorted(self.starting), []
         planning = sum(run.state is State.PLANNING for run in self.runs.values())  # A
         for robot in starting:
@@ -240,28 +240,29 @@ class EventHandlers:
     def _start_iteration(self, run: TaskRun, planning: int) -> None:
         slowdown = self._compute.slowdown(run.robot, run.task, run.work_iterations, planning)
 
-        def ends(rollouts: int) -> int:
-            # At least 1 ns, so that the clock advances whatever a compute model says.
+        def end_after(rollouts: int) -> int:
+            # At least 1 ns, so that time advances with any compute model.
             return self.now_ns + max(1, round(rollouts * self._rollout_ns * slowdown))
 
         if run.checking:
-            # The winner rolled out once more: time, but no new outcome. It runs on the same
-            # computer as the iterations, so it is slowed like them; no limit stops it.
-            self._calendar.schedule(ends(1), EventPriority.ITERATION_END, run.robot)
+            # The final check rolls the winner out once more: it takes time and has no new outcome.
+            # It runs on the same computer as the iterations, so it is slowed too; no limit stops
+            # it.
+            self._calendar.schedule(end_after(1), EventPriority.ITERATION_END, run.robot)
             return
-        # Iteration 0 is the nominal's rollout; a further one K in parallel, then the winner's own.
-        end_ns = ends(2 if run.nominal_done else 1)
+        # Iteration 0 is the nominal's rollout; a later one is K in parallel, then the winner's own.
+        end_ns = end_after(2 if run.nominal_done else 1)
         if run.push is not None and end_ns > min(run.push_deadline_ns, run.deadline_ns):
             self._log(EventKind.PUSH_DROPPED, run, object=run.push.object)
             self._robots.drop_push(run.robot)
             run.push = None
-            run.new_segment()
-            end_ns = ends(1)
+            run.start_segment()
+            end_ns = end_after(1)
         if end_ns > run.deadline_ns:
-            self._end_task(run, run.failure())
+            self._end_task(run, run.failure_status())
             return
         work = Work(run.robot, run.task, WorkKind.ITERATION, run.work_iterations)
-        self._request(work, end_ns)
+        self._request_work(work, end_ns)
         self._calendar.schedule(end_ns, EventPriority.ITERATION_END, run.robot, work)
 
     def _execute_push(self, run: TaskRun) -> None:
@@ -269,11 +270,11 @@ class EventHandlers:
         run.enter(State.EXECUTING, self.now_ns)
         end_ns = self.now_ns + nanoseconds(self._config.push_execution_s)
         retreat_ns = nanoseconds(self._config.retreat_s)
-        # The limit is on planning, waiting and interaction (D4): execution puts it off.
+        # The limit is on planning, waiting and interaction, so execution extends the deadline.
         run.deadline_ns += nanoseconds(self._config.push_execution_s) + retreat_ns
-        # Asked for now, needed when reaching restarts: it shares the batch of these four seconds.
+        # Requested now though needed only when reaching restarts, so that it can share a batch.
         work = Work(run.robot, run.task, WorkKind.RETREAT, run.work_iterations)
-        self._request(work, end_ns + retreat_ns)
+        self._request_work(work, end_ns + retreat_ns)
         self._calendar.schedule(end_ns, EventPriority.EXECUTION_END, run.robot)
 
     def _execute_reach(self, run: TaskRun) -> None:
@@ -283,15 +284,15 @@ class EventHandlers:
         self._calendar.schedule(end_ns, EventPriority.EXECUTION_END, run.robot)
 
     def _end_task(self, run: TaskRun, status: Status) -> None:
-        self.records.append(run.record(status, self.now_ns))
+        self.records.append(run.finish(status, self.now_ns))
         self._log(EventKind.TASK_END, run, outcome=status)
         more = self._next_task[run.robot] < self._config.tasks
-        # A task that starts at the horizon would only be cut off.
-        if more and self.now_ns < self._calendar.last_ns:
+        # A task that starts at the horizon would be cut off at once.
+        if more and self.now_ns < self._calendar.horizon_ns:
             self._calendar.schedule(self.now_ns, EventPriority.NEW_TASK, run.robot)
 
     def censor(self, horizon_ns: int) -> None:
-        """The horizon has passed: what still runs is cut off there."""
+        """End all running tasks at the horizon, as censored."""
         self.now_ns = horizon_ns
         for robot, run in sorted(self.runs.items()):
             if run.state is State.IDLE:
@@ -308,14 +309,14 @@ class EventHandlers:
     # --- asks and operators (Alg. 2) ------------------------------------------------------------
 
     def _ask_or_plan(self, run: TaskRun, bid: float | None) -> None:
-        free = self.operators.free
-        reply = AskOutcome.IGNORED
-        if bid is not None:
-            reply = self._allocator.ask(run.robot, bid, free=free)
-        if bid is None or reply is AskOutcome.IGNORED:
+        if bid is None:
             self._plan(run)
             return
-        if reply is AskOutcome.OPENS:
+        outcome = self._allocator.ask(run.robot, bid, free=self.operators.free)
+        if outcome is AskOutcome.IGNORED:
+            self._plan(run)
+            return
+        if outcome is AskOutcome.OPENS_WINDOW:
             self._log(EventKind.WINDOW_OPEN, run)
             close_ns = self.now_ns + nanoseconds(self._config.window_s)
             self._calendar.schedule(close_ns, EventPriority.WINDOW_CLOSE, FLEET)
@@ -324,15 +325,15 @@ class EventHandlers:
             run.first_bid = run.reach_iterations
         iteration = run.work_iterations - 1 if run.work_iterations else None
         self._log(EventKind.BID, run, request=run.request, iteration=iteration, gain=bid)
-        if reply is AskOutcome.REFUSED:
+        if outcome is AskOutcome.REFUSED:
             self._refuse(run, "busy")
             return
         windows = self._policy.discipline is Discipline.WINDOW
         run.enter(State.IN_WINDOW if windows else State.IN_LINE, self.now_ns)
         self._calendar.schedule(run.deadline_ns, EventPriority.EXPIRY, run.robot)
-        self._match()
+        self._serve_waiting()
 
-    def _match(self) -> None:
+    def _serve_waiting(self) -> None:
         for robot in self._allocator.match(free=self.operators.free):
             self._grant(self.runs[robot])
 
@@ -350,28 +351,28 @@ class EventHandlers:
             seconds += self._config.context_switch_s
         run.enter(State.SERVED, self.now_ns)
         if seconds is None:
-            self._work.request(self._input(run), is_open=True)
+            self._work.request(self._input_work(run), is_open=True)
             self._calendar.schedule(run.deadline_ns, EventPriority.SERVICE_END, run.robot)
             return
         end_ns = self.now_ns + nanoseconds(seconds)
-        # A service that would outlast the task's limit ends there, without an input: the robot has
-        # no time left to use one, and the operator is free for the others. An input that comes at
-        # the limit itself is in time.
+        # A service that would go past the task's limit ends at the limit without an input: the
+        # robot would have no time left to use it, and the operator is free for other robots. An
+        # input exactly at the limit is in time.
         work = None
         if end_ns <= run.deadline_ns:
-            work = self._input(run)
-            self._request(work, end_ns)
+            work = self._input_work(run)
+            self._request_work(work, end_ns)
         self._calendar.schedule(
             min(end_ns, run.deadline_ns), EventPriority.SERVICE_END, run.robot, work
         )
 
     @staticmethod
-    def _input(run: TaskRun) -> Work:
+    def _input_work(run: TaskRun) -> Work:
         return Work(run.robot, run.task, WorkKind.INPUT, run.work_iterations, run.request)
 
-    def attend(self, change: Attendance) -> None:
-        """Note a change that is still to come."""
-        bisect.insort(self._attendance, change, key=_time)
+    def add_attendance(self, change: Attendance) -> None:
+        """Add a change of an operator's presence that is still to come."""
+        bisect.insort(self._attendance, change, key=_by_time)
         self._schedule_attendance()
 
     def _schedule_attendance(self) -> None:
@@ -380,11 +381,11 @@ class EventHandlers:
                 self._attendance[0].time_ns, EventPriority.ATTENDANCE, OPERATORS
             )
 
-    # --- small helpers --------------------------------------------------------------------------
+    # --- helpers --------------------------------------------------------------------------------
 
-    def _request(self, work: Work, needed_ns: int) -> None:
-        """Ask for work, unless the horizon comes before its result is needed."""
-        if needed_ns <= self._calendar.last_ns:
+    def _request_work(self, work: Work, needed_ns: int) -> None:
+        """Request work, unless its result is needed only after the horizon."""
+        if needed_ns <= self._calendar.horizon_ns:
             self._work.request(work)
 
     def _log(self, kind: EventKind, run: TaskRun | None = None, **columns) -> None:

@@ -1,11 +1,11 @@
-"""The fleet's event log: one row of `events.parquet` (D11) for everything that happens."""
+"""The fleet's event log: each event is one row of `events.parquet`."""
 
 import enum
 from typing import NamedTuple
 
 
 class EventKind(enum.StrEnum):
-    """What happened. `outcome` refines it where a list is given.
+    """The kind of an event. The comments list the outcomes of a kind, where it has any.
 
     Every bid ends in exactly one of: REFUSED, EXPIRED, SERVICE_END.
     """
@@ -27,24 +27,25 @@ class EventKind(enum.StrEnum):
     OPERATOR_BACK = "operator_back"
 
 
-# What ends the waiting that a BID begins (a grant goes on to its SERVICE_END).
+# Each ends the waiting that a BID begins. After a GRANT the ask itself ends with SERVICE_END.
 ENDS_OF_WAITING = frozenset({EventKind.GRANT, EventKind.REFUSED, EventKind.EXPIRED})
 
 
 class Event(NamedTuple):
-    """One row. What does not apply is None.
+    """One row of the event log. A column that does not apply is None.
 
     Attributes:
       time_ns: simulated time, ns.
-      kind: what happened.
-      robot, task: whose; 0-based.
-      request: which service of the task is asked for or given, 0-based. An ask that was refused is
-        repeated under the same number: it is the number that the service time is drawn by.
-      operator: who serves, 0-based.
+      kind: what happened; see `EventKind`.
+      robot: the robot, 0-based.
+      task: the robot's task, 0-based.
+      request: the service of the task that is asked for or given, 0-based. An ask that was refused
+        is repeated under the same number, because the service time is drawn by this number.
+      operator: the operator, 0-based.
       iteration: the last iteration that has ended, counted over the task as in `Work`.
       gain: an iteration's gain; a bid's value.
       object: the object to push, 0-based.
-      x, y: where its centre is to come, m.
+      x, y: the target of the object's centre, m.
       outcome: see `EventKind`.
     """
 

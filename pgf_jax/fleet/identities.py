@@ -1,8 +1,8 @@
-"""Sample-path identities (D9): what must hold in every fleet that is done, in whole numbers.
+"""Sample-path identities: equations of whole numbers that hold in every fleet that is done.
 
-Each side of an identity comes by another way, mostly one from the event log and one from the task
-records, so that an error in either shows. They hold exactly: the clock counts whole nanoseconds,
-and what the horizon cuts off is a term of its own.
+The two sides of an identity are computed in different ways, mostly one from the event log and one
+from the task records, so that an error in either of them shows. Identities hold exactly, because
+simulated time is in whole nanoseconds and what the horizon cuts off is a term of its own.
 """
 
 from collections import Counter
@@ -20,29 +20,29 @@ def verify(config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[
     """Check all identities of one fleet.
 
     Returns:
-      How many were checked.
+      The number of identities.
 
     Raises:
-      ValueError: one line that names the first one that fails, and its two sides.
+      ValueError: one line that names the first identity that fails, and its two sides.
     """
-    identities = check_identities(config, records, events)
+    identities = identity_sides(config, records, events)
     for name, (left, right) in identities.items():
         if left != right:
             raise ValueError(f"{config.policy}, R = {config.robots}: {name}: {left} is not {right}")
     return len(identities)
 
 
-def check_identities(
+def identity_sides(
     config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
 ) -> dict[str, tuple[int, int]]:
-    """The two sides of every identity; they are equal unless something is wrong.
+    """The two sides of every identity; they are equal unless there is an error.
 
-    Records hold times as floats in s. Rounded to ns they are exact: such a float is the nearest one
-    to a whole number of ns over 1e9, and times 1e9 it is off by less than half a ns as long as the
-    time is below 2^51 ns, 26 days of simulated time.
+    Records hold times as floats in s. Rounded to ns these are exact: the float nearest to a whole
+    number of ns over 1e9, times 1e9, is off by less than half a ns as long as the time is below
+    2^51 ns, 26 days of simulated time.
 
     Args:
-      config: the fleet's.
+      config: the fleet's settings.
       records: its task records, in any order.
       events: its event log, in order.
 
@@ -50,11 +50,11 @@ def check_identities(
       name -> (left, right), in ns or as a count.
     """
     return (
-        _asks(records, events)
-        | _windows(config, records, events)
-        | _areas(records, events)
-        | _robots(config, records, events)
-        | _tasks(records, events)
+        _ask_identities(records, events)
+        | _window_identities(config, records, events)
+        | _integral_identities(records, events)
+        | _robot_identities(config, records, events)
+        | _task_identities(records, events)
     )
 
 
@@ -73,7 +73,9 @@ _OUTCOMES = {
 }
 
 
-def _asks(records: Sequence[TaskRecord], events: Sequence[Event]) -> dict[str, tuple[int, int]]:
+def _ask_identities(
+    records: Sequence[TaskRecord], events: Sequence[Event]
+) -> dict[str, tuple[int, int]]:
     """Asks = answered + refused + expired + cut off by the horizon, in events and in records."""
     kinds = Counter(event.kind for event in events)
     ends = Counter(_OUTCOMES[str(e.outcome)] for e in events if e.kind in _ENDS_OF_ASKS)
@@ -89,7 +91,7 @@ def _asks(records: Sequence[TaskRecord], events: Sequence[Event]) -> dict[str, t
         "answered, of events and of records": (ends["answered"], answered),
         "refused, of events and of records": (ends["refused"], refused),
         "expired, of events and of records": (ends["expired"], expired),
-        # Records do not count them: they are what remains of the asks there.
+        # Records do not count asks that were cut off: they are the rest of the asks.
         "asks cut off, of events and of records": (
             ends["censored"],
             requests - answered - refused - expired,
@@ -104,10 +106,10 @@ def _asks(records: Sequence[TaskRecord], events: Sequence[Event]) -> dict[str, t
     }
 
 
-def _windows(
+def _window_identities(
     config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
 ) -> dict[str, tuple[int, int]]:
-    """What enters a window leaves it: as winner, loser, expired or cut off by the horizon."""
+    """Every bid in a window wins, loses, expires or is cut off by the horizon."""
     length_ns = nanoseconds(config.window_s)
     inside: set[int | None] = set()  # robots whose bid is in the window, until its end is logged
     is_open, opened_ns, lengths_ns, wait_ns = False, 0, 0, 0
@@ -115,7 +117,7 @@ def _windows(
     for event in events:
         if event.kind is EventKind.WINDOW_OPEN:
             is_open, opened_ns = True, event.time_ns
-            # One that would close after the horizon is cut off there; one at the horizon is not.
+            # A window that would close after the horizon is cut off; one that closes at it is not.
             end_ns = event.time_ns + length_ns
             cut += config.horizon_s is not None and end_ns > nanoseconds(config.horizon_s)
         elif event.kind is EventKind.WINDOW_CLOSE:
@@ -131,7 +133,7 @@ def _windows(
             wait_ns += event.time_ns
     kinds = Counter(event.kind for event in events)
     lost = sum(event.outcome == "lost" for event in events)
-    # Where there are windows, all that is granted was won in one and all that expires was in one.
+    # Under a policy with windows, all grants are won in a window and all expired bids were in one.
     windows = make_policy(config).discipline is Discipline.WINDOW
     decided = kinds[EventKind.GRANT] + lost if windows else 0
     expired = kinds[EventKind.EXPIRED] if windows else 0
@@ -159,7 +161,9 @@ def _windows(
 # -- times -------------------------------------------------------------------------------------
 
 
-def _areas(records: Sequence[TaskRecord], events: Sequence[Event]) -> dict[str, tuple[int, int]]:
+def _integral_identities(
+    records: Sequence[TaskRecord], events: Sequence[Event]
+) -> dict[str, tuple[int, int]]:
     """L T = sum of waits (Little's law on the sample path), and busy time = sum of services."""
     waiting_ns = sum(nanoseconds(record.waiting_s) for record in records)
     served_ns = sum(nanoseconds(record.interaction_s) for record in records)
@@ -175,13 +179,13 @@ def _areas(records: Sequence[TaskRecord], events: Sequence[Event]) -> dict[str, 
     }
 
 
-def _robots(
+def _robot_identities(
     config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
 ) -> dict[str, tuple[int, int]]:
-    """Each robot's tasks take all its time, and its waits and services are its own."""
+    """Robot by robot: its tasks take all its time; its waits and services match its records."""
     makespan: Counter[int | None] = Counter()
     for event in events:
-        if event.kind is EventKind.TASK_END:  # the last one of a robot stays; all start at 0
+        if event.kind is EventKind.TASK_END:  # the last end counts; all robots start at 0
             makespan[event.robot] = event.time_ns
     waits = _durations(events, EventKind.BID, ENDS_OF_WAITING)
     services = _durations(events, EventKind.GRANT, {EventKind.SERVICE_END})
@@ -201,7 +205,9 @@ def _robots(
     return found
 
 
-def _tasks(records: Sequence[TaskRecord], events: Sequence[Event]) -> dict[str, tuple[int, int]]:
+def _task_identities(
+    records: Sequence[TaskRecord], events: Sequence[Event]
+) -> dict[str, tuple[int, int]]:
     """Planning + waiting in line + interaction + execution = end - start, task by task."""
     lasted: Counter[tuple[int | None, int | None]] = Counter()
     for event in events:
@@ -225,14 +231,14 @@ def _tasks(records: Sequence[TaskRecord], events: Sequence[Event]) -> dict[str, 
 
 
 def _spent_ns(record: TaskRecord) -> int:
-    """A task's time by what it was spent on, ns. Planning time includes waiting in windows."""
+    """Sum of the times that a task's record holds, ns. Planning includes waiting in windows."""
     line_ns = nanoseconds(record.waiting_s) - nanoseconds(record.window_wait_s)
     others = (record.planning_time_s, record.interaction_s, record.execution_s)
     return line_ns + sum(map(nanoseconds, others))
 
 
 def _integral(events: Sequence[Event], begin: EventKind, ends: Collection[EventKind]) -> int:
-    """Integral over time of how many are between a `begin` and one of the `ends`, ns."""
+    """Integral over time of the number of robots between a `begin` and one of the `ends`, ns."""
     area = number = before_ns = 0
     for event in events:
         area += number * (event.time_ns - before_ns)
@@ -244,8 +250,8 @@ def _integral(events: Sequence[Event], begin: EventKind, ends: Collection[EventK
 def _durations(
     events: Sequence[Event], begin: EventKind, ends: Collection[EventKind]
 ) -> Counter[int | None]:
-    """Robot -> sum of its times from each `begin` to the end that follows, ns."""
-    # Ends minus beginnings: an event that is missing gives a wrong sum and not an exception.
+    """Robot -> sum of its times from each `begin` to the following end, ns."""
+    # Ends minus beginnings, so that a missing event gives a wrong sum and not an exception.
     sums: Counter[int | None] = Counter()
     for event in events:
         if event.kind is begin:

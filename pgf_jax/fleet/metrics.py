@@ -1,7 +1,7 @@
-"""Metrics of a cell (D9): one fleet's records and events in, one row of `summary.csv` out.
+"""Metrics of a cell: a row of `summary.csv` from one fleet's records and events.
 
-Everything is computed from records and events alone, so that it can be computed again from the
-files of a sweep.
+Records and events are all that the metrics need, so that they can be computed again from the files
+of a sweep.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ NS_PER_HOUR = 3600 * 10**9
 
 @dataclasses.dataclass(frozen=True)
 class Interval:
-    """A mean, or a rate, and its confidence interval; nan where the sample is too small for one."""
+    """A mean, or a rate, with its confidence interval; nan where the sample is too small."""
 
     mean: float
     low: float
@@ -32,31 +32,50 @@ class Interval:
 
 @dataclasses.dataclass(frozen=True)
 class CellSummary:
-    """One cell: one fleet under one policy. Intervals are 95 %: t for means, Wilson for rates.
+    """The metrics of one cell. Intervals are 95 %: t for means, Wilson for rates.
 
-    Tasks that the horizon cut off have no outcome: they count in `censored` and nowhere else but
-    in `requests` to `expired` and in what is read from the events. Intervals take tasks as
-    independent, although a fleet's tasks share its operators; only `paired_difference` is free of
+    Tasks that the horizon cut off have no outcome: they count in `censored`, in `requests` to
+    `expired` and in what is computed from events, and nowhere else. Intervals treat tasks as
+    independent, although a fleet's tasks share its operators; only `paired_difference` removes
     differences between scenes.
 
     Attributes:
-      policy, robots, operators, seed: which cell.
-      tasks: tasks that ended; `solved` and `failed` of them, by `timed_out`, `stuck`, `non_finite`.
-      censored: tasks that the horizon cut off.
+      policy: name of the policy.
+      robots: R, number of robots.
+      operators: number of operators.
+      seed: the fleet's seed.
+      tasks: number of tasks that ended by themselves.
+      solved: number of these tasks that were solved.
+      timed_out: number of these tasks that ran out of time and were not stuck.
+      stuck: number of these tasks that ran out of time while stuck.
+      failed_non_finite: number of these tasks that ran out of time with a cost that is not finite.
+      censored: number of tasks that the horizon cut off.
       hours: simulated time, to the horizon or to the last task's end.
       tasks_per_hour: solved tasks per simulated hour, the throughput.
       success: rate of solved tasks among those that ended.
-      helped: rate of tasks with at least one grant.
-      planning_time_s, waiting_s, interaction_s: over all tasks that ended, failures included.
-      planning_time_solved_s: over solved tasks.
-      reach_iterations: over all tasks that ended.
-      first_bid, first_grant: reach iteration of each, over the tasks that have one.
-      every_grant, every_successful_grant: reach iteration, over all grants (whose push succeeded).
-      requests, answered, grants, refusals, expired: totals.
-      pushes_planned, pushes_succeeded, non_finite, saturated: totals; the last two count iterations
-        with a cost that was not finite, and rollouts with every contact slot in use.
+      helped: rate of tasks with at least one grant among those that ended.
+      planning_time_s: planning time of all tasks that ended, failures included, s.
+      planning_time_solved_s: planning time of solved tasks, s.
+      waiting_s: waiting time of all tasks that ended, s.
+      interaction_s: time being served of all tasks that ended, s.
+      reach_iterations: reach iterations of all tasks that ended.
+      first_bid: reach iteration of the first ask, over the tasks that have one.
+      first_grant: reach iteration of the first grant, over the tasks that have one.
+      every_grant: reach iteration, over all grants.
+      every_successful_grant: reach iteration, over the grants whose push succeeded.
+      requests: total of the asks.
+      answered: total of the inputs that operators gave.
+      grants: total of the services that began.
+      refusals: total of the asks refused.
+      expired: total of the asks that ended with the task, and of services without an answer.
+      pushes_planned: total of the pushes whose planning began.
+      pushes_succeeded: total of the pushes found feasible.
+      non_finite: total of iterations in which some rollout's cost was not finite.
+      saturated: total of rollouts with every contact slot in use at a knot's end.
       utilisation: busy share of the operators' time.
-      windows, window_size_mean, window_size_max: windows closed; bids in them at their close.
+      windows: number of windows that were closed.
+      window_size_mean: mean number of bids in a window at its close.
+      window_size_max: largest number of bids in a window at its close.
     """
 
     policy: str
@@ -97,12 +116,12 @@ class CellSummary:
     window_size_max: int
 
     def row(self) -> dict[str, str | int | float]:
-        """Flat, for a table."""
+        """The summary as a flat row; see `flat_row`."""
         return flat_row(self)
 
 
 def flat_row(summary: Any) -> dict[str, str | int | float]:
-    """A dataclass as a row of a table; an interval becomes NAME, NAME_low, NAME_high and NAME_n."""
+    """Make a dataclass a flat row; an interval becomes NAME, NAME_low, NAME_high and NAME_n."""
     row: dict[str, str | int | float] = {}
     for field in dataclasses.fields(summary):
         value = getattr(summary, field.name)
@@ -117,10 +136,10 @@ def flat_row(summary: Any) -> dict[str, str | int | float]:
 def summarise(
     config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
 ) -> CellSummary:
-    """The summary of one fleet that is done.
+    """Summarise one fleet that is done.
 
     Args:
-      config: the fleet's.
+      config: the fleet's settings.
       records: its task records, in any order.
       events: its event log, in order.
     """
@@ -154,7 +173,7 @@ def summarise(
         failed_non_finite=count(Status.NON_FINITE),
         censored=count(Status.CENSORED),
         hours=elapsed_ns / NS_PER_HOUR,
-        tasks_per_hour=len(solved) * NS_PER_HOUR / elapsed_ns if elapsed_ns else math.nan,
+        tasks_per_hour=ratio(len(solved) * NS_PER_HOUR, elapsed_ns),
         success=rate_interval(len(solved), len(ended)),
         helped=rate_interval(sum(record.grants > 0 for record in ended), len(ended)),
         planning_time_s=mean("planning_time_s"),
@@ -175,7 +194,7 @@ def summarise(
         pushes_succeeded=total("pushes_succeeded"),
         non_finite=total("non_finite"),
         saturated=total("saturated"),
-        utilisation=(busy_ns(events) / (config.operators * elapsed_ns) if elapsed_ns else math.nan),
+        utilisation=ratio(busy_ns(events), config.operators * elapsed_ns),
         windows=len(sizes),
         window_size_mean=float(np.mean(sizes)) if sizes else math.nan,
         window_size_max=max(sizes, default=0),
@@ -183,7 +202,7 @@ def summarise(
 
 
 def busy_ns(events: Iterable[Event]) -> int:
-    """Time that operators spend serving, all operators together, ns."""
+    """Time that all operators together spend serving, ns."""
     total, since = 0, {}
     for event in events:
         if event.kind is EventKind.GRANT:
@@ -194,7 +213,7 @@ def busy_ns(events: Iterable[Event]) -> int:
 
 
 def window_sizes(events: Iterable[Event]) -> list[int]:
-    """How many bids each window held when it closed, in order; expired bids have left it."""
+    """Number of bids in each window at its close, in order; expired bids are not in it."""
     sizes, size = [], 0
     for event in events:
         if event.kind is EventKind.WINDOW_OPEN:
@@ -215,11 +234,11 @@ def paired_difference(
     *,
     confidence: float = 0.95,
 ) -> Interval:
-    """Mean of value(record) - value(baseline record) over pairs of one (robot, task), with its CI.
+    """Mean of value(record) - value(baseline record) over pairs of one (robot, task).
 
     Under one seed such a pair has the same scene, the same planner noise and the same service times
-    (common random numbers), so most of the spread between scenes cancels. Pairs of which the
-    horizon cut one off are left out.
+    (common random numbers), so most of the spread between scenes cancels. A pair is left out where
+    the horizon cut off one of its tasks.
     """
 
     def by_task(side: Iterable[TaskRecord]) -> dict[tuple[int, int], TaskRecord]:
@@ -231,8 +250,13 @@ def paired_difference(
     return mean_interval(differences, confidence=confidence)
 
 
+def ratio(numerator: float, denominator: float) -> float:
+    """The quotient; nan where the denominator is 0."""
+    return numerator / denominator if denominator else math.nan
+
+
 def mean_interval(values: Sequence[float], *, confidence: float = 0.95) -> Interval:
-    """Mean and Student's t interval."""
+    """The mean with Student's t interval."""
     n = len(values)
     if n == 0:
         return Interval(math.nan, math.nan, math.nan, 0)
@@ -244,14 +268,14 @@ def mean_interval(values: Sequence[float], *, confidence: float = 0.95) -> Inter
 
 
 def rate_interval(successes: int, n: int, *, confidence: float = 0.95) -> Interval:
-    """Rate and Wilson's score interval, which stays within 0..1 and is defined at both ends."""
+    """The rate with Wilson's score interval, which stays within 0..1, also for rates 0 and 1."""
     if n == 0:
         return Interval(math.nan, math.nan, math.nan, 0)
     z = NormalDist().inv_cdf((1 + confidence) / 2)
     rate = successes / n
     centre = (rate + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * math.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n))
-    # At 0 and n the interval ends there exactly; rounding must not push it out.
+    # With 0 or n successes the interval ends exactly at 0 or 1; rounding must not change that.
     low = 0.0 if successes == 0 else centre - half
     high = 1.0 if successes == n else centre + half
     return Interval(rate, low, high, n)
@@ -261,7 +285,7 @@ def t_quantile(probability: float, dof: int) -> float:
     """Quantile of Student's t for a probability in [0.5, 1) and a whole number of dof >= 1.
 
     Bisection on the closed form of P(|T| < t) for whole dof (Abramowitz and Stegun 26.7.3 and
-    26.7.4), so that the fleet needs no statistics library.
+    26.7.4), so that no statistics library is needed.
     """
     target = 2 * probability - 1
     low, high = 0.0, math.pi / 2  # of theta = atan(t / sqrt(dof))

@@ -1,34 +1,31 @@
-"""Policies (D7): when a robot asks for the operator, what it bids, and how askers are ordered.
+"""Policies: when a robot asks for an operator, what it bids, and how asks are ordered.
 
-A policy is stateless: what it says depends on its arguments alone, so that no result depends on
-the order in which fleets or batches are computed. To add one, register a factory:
+A policy has no state: its answers depend on its arguments alone, so that no result depends on the
+order in which fleets or batches are computed. To add a policy, register a factory:
 
-    register_policy("after-5", lambda config: MyPolicy())
+    register_policy("my-policy", lambda config: MyPolicy())
 """
 
 import dataclasses
 import enum
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.robots import IterationResult
 
-if TYPE_CHECKING:  # config checks policy names, so it imports this module
-    from pgf_jax.fleet.config import FleetConfig
-
 
 class Discipline(enum.StrEnum):
-    """How asks meet operators; `allocator.py` has one class for each."""
+    """How asks are served; `allocator.py` has one class for each."""
 
-    WINDOW = "window"  # Alg. 2: bids inside a window, the highest win at its end
+    WINDOW = "window"  # Alg. 2: bids are collected in a window, the highest win at its end
     REFUSE = "refuse"  # granted at once or refused
-    LINE = "line"  # first come, first served; askers wait
+    LINE = "line"  # first come, first served; robots wait
 
 
-class Progress(NamedTuple):
-    """How far a robot is in its task when its policy is consulted."""
+class TaskProgress(NamedTuple):
+    """The state of a robot's task that a policy may use."""
 
     robot: int
     task: int
@@ -39,126 +36,170 @@ class Progress(NamedTuple):
 
 
 class Policy(Protocol):
-    """When to ask. None means: plan on without asking."""
+    """Says when a robot asks, and what it bids. None means: plan on without asking."""
 
     @property
     def discipline(self) -> Discipline:
-        """How its asks meet the operators."""
+        """How the asks are served."""
         ...
 
-    def first_bid(self, progress: Progress) -> float | None:
+    def first_bid(self, progress: TaskProgress) -> float | None:
         """The bid before any planning of the task, or None."""
         ...
 
-    def bid(self, result: IterationResult, progress: Progress) -> float | None:
+    def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
         """The bid after a reach iteration that is not feasible, or None; never nan.
 
-        Consulted at the end of every such iteration, iteration 0 included; never while pushing.
+        Called at the end of every such iteration, iteration 0 included; never while pushing.
         """
         ...
 
 
-class Silent:
-    """What most policies share: nothing is asked before planning, and, unless said, nor later."""
+class PolicyBase:
+    """Base class of policies: it never asks, neither before planning nor after an iteration."""
 
-    def first_bid(self, progress: Progress) -> float | None:
+    def first_bid(self, progress: TaskProgress) -> float | None:
         """None."""
         return None
 
-    def bid(self, result: IterationResult, progress: Progress) -> float | None:
+    def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
         """None."""
         return None
+
+
+# --- the policies -------------------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True)
-class Gain(Silent):
-    """`pgf` (Alg. 2 and 3): bids the predicted gain when it exceeds the threshold; stuck: +inf.
+class BidGain(PolicyBase):
+    """`pgf` (Alg. 2 and 3): bids the predicted gain if it exceeds the threshold; stuck: +inf.
 
-    `oracle-gain` is the same policy on the true gain.
+    `oracle-gain` is the same policy with the true gain.
     """
 
     threshold: float
     discipline: Discipline = Discipline.WINDOW
 
-    def bid(self, result: IterationResult, progress: Progress) -> float | None:
-        """The gain; nan, a history still too short, exceeds no threshold."""
+    def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
+        """The gain; while the history is too short the gain is nan and there is no bid."""
         if result.stuck:
             return math.inf
         return result.gain if result.gain > self.threshold else None
 
 
 @dataclasses.dataclass(frozen=True)
-class WhenStuck(Silent):
-    """Asks when stuck, all alike: `or-hitl`, `or-hitl-window` and `queue`, by the discipline."""
+class AskWhenStuck(PolicyBase):
+    """Asks when stuck: `or-hitl`, `or-hitl-window` and `queue`, by the discipline."""
 
     discipline: Discipline
 
-    def bid(self, result: IterationResult, progress: Progress) -> float | None:
+    def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
         """+inf while stuck."""
         return math.inf if result.stuck else None
 
 
 @dataclasses.dataclass(frozen=True)
-class Always(Silent):
+class AskBeforePlanning(PolicyBase):
     """`always`: asks once, before planning, and waits in line."""
 
     discipline: Discipline = Discipline.LINE
 
-    def first_bid(self, progress: Progress) -> float | None:
+    def first_bid(self, progress: TaskProgress) -> float | None:
         """+inf."""
         return math.inf
 
 
 @dataclasses.dataclass(frozen=True)
-class Autonomous(Silent):
+class NeverAsk(PolicyBase):
     """`autonomous`: never asks."""
 
     discipline: Discipline = Discipline.REFUSE
 
 
 @dataclasses.dataclass(frozen=True)
-class Random(Silent):
-    """`random`: every robot still reaching bids the same, so chance alone says who is helped.
+class BidEqually(PolicyBase):
+    """`random`: every robot that is still reaching bids the same, so that winners are random.
 
-    The design only names this policy: it is the comparison without any notion of need.
+    A baseline that ignores how much a robot needs help; it is not in the paper.
     """
 
     discipline: Discipline = Discipline.WINDOW
 
-    def bid(self, result: IterationResult, progress: Progress) -> float | None:
-        """1, always: ties fall by the window's random key."""
+    def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
+        """Always 1: the window's random key breaks the ties."""
         return 1.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Classifier(Silent):
-    """`classifier`: bids on predicted failure, winner at random.
+class BidOnPredictedFailure(PolicyBase):
+    """`classifier`: bids when failure is predicted; the winner is random.
 
     `IterationResult.gain` holds the predicted probability of failure. Being stuck counts as a
-    predicted failure, and all bid the same.
+    predicted failure, and all bids are equal.
     """
 
     probability: float = 0.5
     discipline: Discipline = Discipline.WINDOW
 
-    def bid(self, result: IterationResult, progress: Progress) -> float | None:
+    def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
         """1 when failure is predicted."""
         return 1.0 if result.stuck or result.gain > self.probability else None
 
 
-PolicyFactory = Callable[["FleetConfig"], Policy]
+@dataclasses.dataclass(frozen=True)
+class AskAfter(PolicyBase):
+    """`after:N`: asks once N reach iterations have passed since the restart or the last input."""
 
+    iterations: int
+    discipline: Discipline = Discipline.REFUSE  # at once: the only robot has the operator to itself
+
+    def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
+        """+inf from iteration N after the restart or the last input."""
+        return math.inf if progress.since_restart >= self.iterations else None
+
+
+@dataclasses.dataclass(frozen=True)
+class AskOnceAfter(PolicyBase):
+    """`once-after:N`: asks once in a task, after its reach iteration N."""
+
+    iterations: int
+    discipline: Discipline = Discipline.REFUSE
+
+    def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
+        """+inf from iteration N until it is granted."""
+        asks = progress.grants == 0 and progress.reach_iterations >= self.iterations
+        return math.inf if asks else None
+
+
+# --- policies by name ---------------------------------------------------------------------------
+
+
+class PolicySettings(Protocol):
+    """The settings that policies read; `FleetConfig` has them."""
+
+    @property
+    def policy(self) -> str:
+        """Name of the policy."""
+        ...
+
+    @property
+    def bid_threshold(self) -> float:
+        """A gain must exceed it to be bid."""
+        ...
+
+
+PolicyFactory = Callable[[PolicySettings], Policy]
 
 _POLICIES: dict[str, PolicyFactory] = {
-    "pgf": lambda config: Gain(config.bid_threshold),
-    "or-hitl": lambda config: WhenStuck(Discipline.REFUSE),
-    "or-hitl-window": lambda config: WhenStuck(Discipline.WINDOW),
-    "always": lambda config: Always(),
-    "autonomous": lambda config: Autonomous(),
-    "random": lambda config: Random(),
-    "queue": lambda config: WhenStuck(Discipline.LINE),
-    "oracle-gain": lambda config: Gain(config.bid_threshold),
-    "classifier": lambda config: Classifier(),
+    "pgf": lambda config: BidGain(config.bid_threshold),
+    "or-hitl": lambda config: AskWhenStuck(Discipline.REFUSE),
+    "or-hitl-window": lambda config: AskWhenStuck(Discipline.WINDOW),
+    "always": lambda config: AskBeforePlanning(),
+    "autonomous": lambda config: NeverAsk(),
+    "random": lambda config: BidEqually(),
+    "queue": lambda config: AskWhenStuck(Discipline.LINE),
+    "oracle-gain": lambda config: BidGain(config.bid_threshold),
+    "classifier": lambda config: BidOnPredictedFailure(),
 }
 
 
@@ -177,54 +218,23 @@ def register_policy(name: str, factory: PolicyFactory) -> None:
 def check_policy(name: str) -> None:
     """Raise BadInput unless `name` is registered."""
     if name not in _POLICIES:
-        raise BadInput(f"policy must be one of {', '.join(_POLICIES)}, got {name!r}")
+        raise BadInput(f"policy: expected one of {', '.join(_POLICIES)}, got {name!r}")
 
 
-def make_policy(config: "FleetConfig") -> Policy:
+def make_policy(config: PolicySettings) -> Policy:
     """The policy that `config.policy` names; BadInput if there is none."""
     check_policy(config.policy)
     return _POLICIES[config.policy](config)
 
 
-@dataclasses.dataclass(frozen=True)
-class AskAfter(Silent):
-    """`after:N`: asks once N reach iterations have passed since the restart or the last input."""
-
-    iterations: int
-    discipline: Discipline = Discipline.REFUSE  # at once: the operator is all this robot's
-
-    def bid(self, result: IterationResult, progress: Progress) -> float | None:
-        """+inf from iteration N of each stretch on."""
-        return math.inf if progress.since_restart >= self.iterations else None
-
-
-@dataclasses.dataclass(frozen=True)
-class AskOnceAfter(Silent):
-    """`once-after:N`: asks once in a task, after its reach iteration N."""
-
-    iterations: int
-    discipline: Discipline = Discipline.REFUSE
-
-    def bid(self, result: IterationResult, progress: Progress) -> float | None:
-        """+inf from iteration N on, until it is granted."""
-        asks = progress.grants == 0 and progress.reach_iterations >= self.iterations
-        return math.inf if asks else None
-
-
 def after(iterations: int) -> str:
-    """The name under which `After(iterations)` is registered."""
-    return _named(f"after:{iterations}", AskAfter(iterations))
+    """Register `AskAfter(iterations)` where needed; returns its name."""
+    return _registered(f"after:{iterations}", AskAfter(iterations))
 
 
 def once_after(iterations: int) -> str:
-    """The name under which `Once(iterations)` is registered."""
-    return _named(f"once-after:{iterations}", AskOnceAfter(iterations))
-
-
-def _named(name: str, policy: Policy) -> str:
-    if name not in policy_names():
-        register_policy(name, lambda config: policy)
-    return name
+    """Register `AskOnceAfter(iterations)` where needed; returns its name."""
+    return _registered(f"once-after:{iterations}", AskOnceAfter(iterations))
 
 
 def check_ask(text: str) -> int:
@@ -232,10 +242,16 @@ def check_ask(text: str) -> int:
     if text in ("stuck", "gain", "never"):
         return 0
     name, _, number = str(text).partition(":")
-    # isdecimal alone lets other scripts' digits through; int() would take '1_0' and ' 3'.
-    # More digits would not be read as a number, nor be reached.
+    # isdecimal alone accepts digits of other scripts; int() accepts '1_0' and ' 3'. The length is
+    # limited because int() fails on thousands of digits.
     if name == "after" and number.isascii() and number.isdecimal() and len(number) < 19:
         return int(number)
     raise BadInput(
         f"ask: expected stuck, gain, never or after:N with N >= 0, got {short_repr(text)}"
     )
+
+
+def _registered(name: str, policy: Policy) -> str:
+    if name not in _POLICIES:
+        register_policy(name, lambda config: policy)
+    return name

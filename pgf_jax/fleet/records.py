@@ -1,4 +1,4 @@
-"""One robot's run through one task: what is counted while it lasts, and the record it leaves."""
+"""Robot states, and the record of a task that has ended."""
 
 import dataclasses
 import enum
@@ -10,57 +10,61 @@ NO_TERMS = (math.nan, math.nan, math.nan)
 
 
 class State(enum.StrEnum):
-    """What a robot does (D8); its time is booked under exactly one of these."""
+    """What a robot does; its time is booked under exactly one state at a time."""
 
     IDLE = "idle"
     PLANNING = "planning"  # iterations of reaching and pushing, and the final check
     IN_WINDOW = "in_window"  # waiting, from its bid to the window's end
-    IN_LINE = "in_line"  # waiting for an operator
+    IN_LINE = "in_line"  # waiting for an operator in the queue
     SERVED = "served"
     EXECUTING = "executing"  # a push and its retreat, or the reach
 
 
 @dataclasses.dataclass(frozen=True)
 class TaskRecord:
-    """One row of `tasks.parquet`: the metrics of D9 for one task.
+    """The metrics of one task: one row of `tasks.parquet`.
 
-    Planning, line waits, interaction and execution add up to end - start; times are s, unless named
-    `_ns`. Reach iterations are cumulative over the task and leave iteration 0s out: 0 is before or
-    at the nominal's own rollout.
+    Planning, line waits, interaction and execution add up to end - start. Times are in s, unless
+    their name ends in `_ns`. Reach iterations are counted over the whole task without iteration
+    0s: 0 means before or at the nominal's own rollout.
 
     Attributes:
-      robot, task: which; 0-based.
-      status: how it ended.
-      planning_time_s: the headline: iterations of reaching and pushing, first rollouts, the final
-        check and window waits; not line waits, interaction, execution or retreat.
-      waiting_s: in windows and in line.
-      window_wait_s: the part of it spent in windows.
-      interaction_s: being served.
-      execution_s: executing pushes, retreats and the reach.
-      start_ns, end_ns: simulated times.
-      iterations: of reaching and pushing that have ended, iteration 0s left out.
-      reach_iterations: those of reaching.
+      robot: the robot, 0-based.
+      task: the robot's task, 0-based.
+      status: how the task ended.
+      planning_time_s: the main metric: time of iterations of reaching and pushing, first rollouts,
+        the final check and window waits, s; not of line waits, interaction, execution or retreat.
+      waiting_s: time waiting in windows and in line, s.
+      window_wait_s: time waiting in windows, s.
+      interaction_s: time being served, s.
+      execution_s: time executing pushes, retreats and the reach, s.
+      start_ns: simulated time of the task's start, ns.
+      end_ns: simulated time of the task's end, ns.
+      iterations: iterations of reaching and pushing that have ended, without iteration 0s.
+      reach_iterations: iterations of reaching that have ended, without iteration 0s.
       pushes_planned: pushes whose planning began.
-      pushes_succeeded: those found feasible, and executed.
+      pushes_succeeded: pushes found feasible, and executed.
       requests: asks made: answered, refused, expired or cut off by the horizon.
-      answered: inputs given.
-      grants: services begun.
-      refusals: asks refused, in windows lost too.
+      answered: inputs that operators gave.
+      grants: services that began.
+      refusals: asks refused, those that lost in a window included.
       expired: asks that ended with the task, in line, in a window or while being served, and
         services in which the operator did not answer.
-      first_bid, first_grant: reach iterations at the first of each, or None.
+      first_bid: reach iterations at the first ask, or None.
+      first_grant: reach iterations at the first grant, or None.
       grants_at: reach iterations at each grant.
-      successful_grants_at: the same, for grants whose push succeeded.
+      successful_grants_at: reach iterations at each grant whose push succeeded.
       asked_cost: for each answered input, the total cost of the best reach trajectory when it was
         given; nan where nothing had been rolled out yet (`always`).
       helped_cost: for each answered input, the total cost of the best reach trajectory after the
         last reach iteration, iteration 0s included, that ended within the next `LOOK_AHEAD` reach
         iterations, before the next answered input and before the task's end; nan where none did.
         After a push that was dropped it is the cost of the reach that restarted.
-      cost, terms: total and (c_d, c_f, c_b) of the best reach trajectory after the last reach
-        iteration that has ended; nan before the first.
+      cost: total cost of the best reach trajectory after the last reach iteration that has ended;
+        nan before the first.
+      terms: (c_d, c_f, c_b) of the same trajectory.
       non_finite: iterations in which some rollout's cost was not finite.
-      non_finite_at: which, in order: numbers as in `Work`, those of ITERATION events.
+      non_finite_at: numbers of these iterations, in order, as in `Work` and in ITERATION events.
       saturated: rollouts with a knot end at which every contact slot was in use.
     """
 

@@ -1,4 +1,4 @@
-"""The fleet's view of its robots: requests for work, results of work, and nothing of physics."""
+"""The interface between a fleet and its robots: work items, results and the robots' methods."""
 
 import dataclasses
 import enum
@@ -8,27 +8,27 @@ from pgf_jax.planning.types import NoInput, Push
 
 
 class WorkKind(enum.StrEnum):
-    """What a robot's computer, or its operator, is asked for."""
+    """What a robot's computer, or its operator, has to do."""
 
     ITERATION = "iteration"  # one planner iteration of the current segment -> IterationResult
     RETREAT = "retreat"  # execute the push found, retract, restart reaching from there -> None
-    # What the operator says of the robot as it stands -> Push, None: go on, or UNANSWERED.
+    # The operator's input for the robot's present state -> Push, None: go on, or UNANSWERED.
     INPUT = "input"
 
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """A piece of pending work; its result depends on (seed, robot, task, iteration) alone.
+    """A work item; its result depends on (seed, robot, task, iteration) alone.
 
     Attributes:
       robot: 0-based.
       task: 0-based, counted by robot.
-      kind: what to do.
+      kind: what has to be done.
       iteration: ITERATION: its number over the whole task, iteration 0s of every segment included;
-        otherwise how many iterations of the task have ended.
-      request: INPUT: number of the service, 0-based; otherwise None. An input is work because an
-        operator may try candidate pushes by rollouts, which belong in the shared batch (D8); one
-        that needs no rollouts answers at once.
+        otherwise the number of iterations of the task that have ended.
+      request: INPUT: number of the service, 0-based; otherwise None. An input is a work item
+        because an operator may try candidate pushes by rollouts, which are computed in the batch
+        that all robots share; an operator that needs no rollouts answers at once.
     """
 
     robot: int
@@ -40,11 +40,11 @@ class Work:
 
 @dataclasses.dataclass(frozen=True)
 class IterationResult:
-    """What the fleet may know of an iteration that has ended.
+    """The outcome of an iteration, as far as the fleet needs it.
 
     Attributes:
       feasible: the best trajectory reaches the goal (or, pushing, brings the object to its target).
-      stuck: the stuck counter says so (D4).
+      stuck: the planner is stuck, by its stuck counter.
       gain: the number a robot may bid: phi_auto - phi_human, each clipped at 0; the true gain under
         `oracle-gain`, the predicted probability of failure under `classifier`; nan while the
         history is too short.
@@ -64,20 +64,20 @@ class IterationResult:
     saturated: int = 0
 
 
-Result = IterationResult | Push | NoInput | None  # of a piece of work, by its kind
+Result = IterationResult | Push | NoInput | None  # of a work item; see `WorkKind`
 
 
 class Robots(Protocol):
-    """The robots of one fleet. Every method only changes which segment is planned.
+    """The robots of one fleet. Each method only changes the segment that a robot plans.
 
     After `begin`, `start_push`, `drop_push` and a RETREAT, the next ITERATION is the segment's
-    iteration 0, the nominal's own rollout. A robot has at most one piece of work outstanding, and
-    none of these methods is called for it while it has one; so work may be computed from the
-    robot's state as it is when the work is handed out, or at any time until it is delivered.
+    iteration 0, the nominal's own rollout. A robot has at most one work item outstanding, and no
+    method is called for the robot meanwhile. So an item may be computed from the robot's state at
+    any time between the item's dispatch and the delivery of its result.
     """
 
     def begin(self, robot: int, task: int) -> None:
-        """Take task number `task`: a new scene, a reach segment."""
+        """Begin task number `task`: a new scene and a reach segment."""
         ...
 
     def start_push(self, robot: int, push: Push) -> None:
@@ -85,14 +85,14 @@ class Robots(Protocol):
         ...
 
     def drop_push(self, robot: int) -> None:
-        """Give the push up: back to the state before it, with a new reach nominal and history."""
+        """Give the push up: reach from the state before it, with a new nominal and history."""
         ...
 
     def go_on(self, robot: int) -> None:
         """Go on reaching: keep the trajectory, clear the stuck counter.
 
-        Told to, or left alone by an operator who did not answer.
-        Not called when the input comes before the task's first iteration (`always`): there is
-        nothing to keep or to clear then.
+        Called when the operator says so or does not answer; not called when the input comes before
+        the task's first iteration (`always`). The authors' published code restarts with a new
+        nominal instead.
         """
         ...

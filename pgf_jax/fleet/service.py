@@ -1,4 +1,4 @@
-"""Service times (D5): how long an operator takes to give one input."""
+"""Service times: how long an operator takes to give one input."""
 
 import dataclasses
 import math
@@ -13,8 +13,8 @@ class ServiceTimes(Protocol):
     def seconds(self, robot: int, task: int, request: int) -> float | None:
         """Length in s, not negative, of service number `request` of a task.
 
-        Must depend on the arguments alone. None: it lasts until its input is delivered, or the
-        task's limit has come, as with a person whose answer nobody can foretell.
+        Must depend on the arguments alone. None: the service is open: it lasts until its input is
+        delivered or the task's limit is reached, as with a person, whose answer time is unknown.
         """
         ...
 
@@ -23,9 +23,9 @@ class ServiceTimes(Protocol):
 class LogNormal:
     """Log-normal service times of a given mean and standard deviation, in s.
 
-    Each draw has its own stream, keyed by (seed, robot, task, request): whichever policy asks, and
-    however often it was refused before, the task's n-th input takes the same time. These are the
-    common random numbers that paired differences rest on.
+    Each draw has its own stream, keyed by (seed, robot, task, request): the task's n-th input takes
+    the same time under every policy, however often an ask was refused before. Paired differences
+    need these common random numbers.
     """
 
     seed: int
@@ -33,7 +33,7 @@ class LogNormal:
     sd_s: float
 
     def seconds(self, robot: int, task: int, request: int) -> float:
-        """The draw; exp(mu + sigma z) with sigma^2 = ln(1 + (sd/mean)^2)."""
+        """Draw a service time: exp(mu + sigma z) with sigma^2 = ln(1 + (sd/mean)^2)."""
         if self.sd_s == 0:
             return self.mean_s
         variance = math.log1p((self.sd_s / self.mean_s) ** 2)

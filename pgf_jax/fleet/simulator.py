@@ -1,24 +1,24 @@
-"""Core 2: the fleet as an event-driven simulation. Events -> requests -> results.
+"""The simulator: a fleet as a discrete-event simulation without physics.
 
     fleet = Fleet(config, robots)
     while not fleet.done:
-        for work in fleet.advance():          # everything that can be computed now
-            fleet.deliver(work, ...)          # in any order, alone or batched with other fleets'
+        for work in fleet.advance():          # all work that can be computed now
+            fleet.deliver(work, ...)          # in any order, alone or in a batch of several fleets
     fleet.records, fleet.events
 
-An iteration's end is known when it starts and its outcome is not, so the clock may run ahead of the
-physics until an event needs an outcome that is not there yet (D8). Results depend on nothing but
-each piece of work, so neither batching nor the order of delivery can change what happens.
-`stub.drive` is the loop above for many fleets at once.
+When an iteration starts, its end is known and its outcome is not. So simulated time may run ahead
+of the physics until an event needs an outcome that has not been delivered. A result depends on its
+work item alone, so neither batching nor the order of delivery can change a fleet. `stub.drive` is
+the loop above for several fleets at once.
 
-Here is when things happen: the next event is taken from the calendar (`clock.py`) as soon as the
-ledger (`ledger.py`) has the result that it needs. What happens then is in `course.py`: each event
-changes a robot's task or an operator, and schedules and requests what follows from it.
+The simulator takes the next event from the calendar (`event_calendar.py`) as soon as the work
+tracker (`work_tracker.py`) has the result that the event needs. The event handlers
+(`event_handlers.py`) change robots, tasks and operators, schedule further events and request work.
 
-With a person as operator the clock must not run ahead of them: `advance(until_ns)` follows the wall
-clock, services are open (see `ServiceTimes`), and an input counts from the instant after the one
-that the fleet has been advanced to. The log then says when, so the same inputs at the same times
-make the same log again.
+With a person as operator, simulated time must not run ahead of that person: `advance(until_ns)`
+follows the wall clock, services are open (see `ServiceTimes`), and an input takes effect 1 ns after
+the time that the fleet has been advanced to. The event log records that time, so the same inputs at
+the same times give the same log again.
 """
 
 import math
@@ -36,13 +36,13 @@ from pgf_jax.fleet.work_tracker import WorkTracker
 
 
 class Fleet:
-    """R robots, their tasks, their operators and one clock (D4, D7, D8; Alg. 2).
+    """One simulated fleet: R robots, their tasks and their operators (Alg. 2).
 
     Attributes:
-      config: as given.
-      events: the log so far, in order.
-      records: one per task that has ended, in order of their ends.
-      done: nothing more will happen.
+      config: its settings.
+      events: the event log so far, in order.
+      records: one for each task that has ended, in order of their ends.
+      done: no event is left.
     """
 
     def __init__(
@@ -54,18 +54,18 @@ class Fleet:
         compute: ComputeModel | None = None,
         attendance: Iterable[Attendance] = (),
     ) -> None:
-        """Set the fleet up; nothing happens before the first `advance`.
+        """Set the fleet up; no event is handled before the first `advance`.
 
         Args:
           config: sizes, policy and times.
-          robots: told which segment each robot plans.
-          service: in place of the log-normal service times of the configuration.
-          compute: in place of the compute model that the configuration names.
-          attendance: when operators, all there at first, will leave and come back.
+          robots: its robots; the fleet tells them which segment to plan.
+          service: replaces the log-normal service times of the configuration.
+          compute: replaces the compute model that the configuration names.
+          attendance: when operators leave and come back; all are present at first.
         """
         self.config = config
         self.done = False
-        self._until_ns = 0  # the latest time that it has been advanced to
+        self._until_ns = 0  # the latest time that the fleet has been advanced to
         self._calendar = Calendar(
             math.inf if config.horizon_s is None else nanoseconds(config.horizon_s)
         )
@@ -85,81 +85,87 @@ class Fleet:
     # --- requests and results -------------------------------------------------------------------
 
     def advance(self, until_ns: int | None = None) -> list[Work]:
-        """Process events in time order until one needs a result that is not there yet.
+        """Handle events in time order until one needs a result that has not been delivered.
 
         Args:
-          until_ns: no event after this time; None: no such limit.
+          until_ns: handle no event after this time; None: no such limit.
 
         Returns:
-          All work that has become known since the last call, by robot, at most one a robot. Empty
-          when the fleet is done, or waits for work that it has handed out before.
+          All work requested since the last call, by robot, at most one item for each robot. Empty
+          when the fleet is done, or waits for results of earlier calls.
         """
         if until_ns is not None:
             self._until_ns = max(self._until_ns, until_ns)
         while not self.done:
-            due = self._calendar.peek()
-            if self._handlers.starting and (due is None or due.time_ns > self.now_ns):
+            scheduled, horizon_ns = self._calendar.peek(), self._calendar.horizon_ns
+            if self._handlers.starting and (
+                scheduled is None or scheduled.time_ns > self.now_ns  # this instant is over
+            ):
                 self._handlers.start_iterations()
-            elif due is None:
+            elif scheduled is None:
                 self.done = True
-            elif until_ns is not None and until_ns < min(due.time_ns, self._calendar.last_ns):
+            elif until_ns is not None and until_ns < min(scheduled.time_ns, horizon_ns):
                 break
-            elif due.time_ns > self._calendar.last_ns:
-                self._handlers.censor(int(self._calendar.last_ns))
+            elif scheduled.time_ns > horizon_ns:
+                self._handlers.censor(int(horizon_ns))
                 self.done = True
-            elif self._work.is_missing(due.work):
+            elif self._work.is_missing(scheduled.work):
                 break
             else:
                 self._handlers.handle(self._calendar.pop())
         return self._work.dispatch()
 
     def deliver(self, work: Work, result: Result) -> None:
-        """Hand in the result of a piece of work; nothing happens before the next `advance`.
+        """Deliver the result of a work item; no event is handled before the next `advance`.
 
-        A result that comes after the fleet is done (its horizon cut the work off) is ignored. The
-        input of an open service ends it at the first instant that has not been advanced to; one
-        that comes after the task's limit is ignored, too.
+        A result that comes after the fleet is done (the horizon cut the work off) is ignored. The
+        input of an open service ends the service at the first instant that the fleet has not been
+        advanced to; an input after the task's limit is ignored, too.
 
         Raises:
-          ValueError: the work was not handed out, or has been delivered before.
-          TypeError: the result is not of the type that the work's kind asks for.
+          ValueError: the work was not dispatched, or has been delivered before.
+          TypeError: the result has not the type that this kind of work has.
         """
         if not self._work.deliver(work, result) or self.done:
             return
-        if self._next_ns() <= self._handlers.runs[work.robot].deadline_ns:
-            self._calendar.schedule(self._next_ns(), EventPriority.SERVICE_END, work.robot, work)
-        else:  # the task's limit has passed, though the fleet has not come to it yet
+        end_ns = self._next_instant_ns()
+        if end_ns <= self._handlers.runs[work.robot].deadline_ns:
+            self._calendar.schedule(end_ns, EventPriority.SERVICE_END, work.robot, work)
+        else:  # after the task's limit, whose event the fleet has not handled yet
             self._work.consume(work)
 
-    def attend(self, operator: int, present: bool) -> None:
-        """An operator comes or leaves at the first instant that has not been advanced to."""
-        self._handlers.attend(Attendance(self._next_ns(), operator, present))
+    def set_attendance(self, operator: int, present: bool) -> None:
+        """Let an operator come or leave at the first instant not advanced to."""
+        self._handlers.add_attendance(Attendance(self._next_instant_ns(), operator, present))
 
     def stop(self) -> None:
-        """The horizon is the first instant that has not been advanced to, if it was later."""
-        self._calendar.last_ns = min(self._calendar.last_ns, self._next_ns())
+        """End the fleet early: the horizon becomes the first instant not advanced to."""
+        self._calendar.horizon_ns = min(self._calendar.horizon_ns, self._next_instant_ns())
 
-    # --- to look at -----------------------------------------------------------------------------
+    # --- read-only views ------------------------------------------------------------------------
 
     @property
     def now_ns(self) -> int:
         """Simulated time, ns."""
         return self._handlers.now_ns
 
-    def run(self, robot: int) -> TaskRun | None:
-        """A robot's task as it stands, not to be changed; None before its first."""
+    def task_run(self, robot: int) -> TaskRun | None:
+        """A robot's running task, for reading only; None before its first task."""
         return self._handlers.runs.get(robot)
 
     @property
     def operators(self) -> OperatorPool:
-        """Who is there, and busy with whom; not to be changed."""
+        """Which operators are present, and whom they serve; for reading only."""
         return self._handlers.operators
 
     @property
-    def waits_for_ns(self) -> int | None:
-        """Time of the next event, if it needs a result that is not there; else None."""
-        due = self._calendar.peek()
-        return due.time_ns if due is not None and self._work.is_missing(due.work) else None
+    def blocked_at_ns(self) -> int | None:
+        """Time of the next event if its result has not been delivered; else None."""
+        scheduled = self._calendar.peek()
+        if scheduled is None or not self._work.is_missing(scheduled.work):
+            return None
+        return scheduled.time_ns
 
-    def _next_ns(self) -> int:
+    def _next_instant_ns(self) -> int:
+        """The first instant that the fleet has not been advanced to."""
         return max(self._until_ns, self.now_ns) + 1

@@ -1,6 +1,6 @@
-"""A fleet without physics: robots whose iterations come from a function, and the driver's loop.
+"""Fleets without physics: robots whose iterations come from a function.
 
-For trying a policy in seconds, for queueing studies and for tests.
+Use them to try a policy in seconds, for queueing studies and for tests.
 
     robots = StubRobots(lambda work: outcome(gain=work.iteration))
     fleet = Fleet(FleetConfig(robots=4), robots)
@@ -24,13 +24,13 @@ def outcome(
     non_finite: bool = False,
     saturated: int = 0,
 ) -> IterationResult:
-    """An iteration's result whose cost is all reach cost."""
+    """Make an iteration's result; its whole cost is the term c_d."""
     terms = (cost, 0.0, 0.0)
     return IterationResult(feasible, stuck, gain, terms, cost, non_finite, saturated)
 
 
 class StubRobots:
-    """Robots that look nothing but the work itself up; satisfies `Robots`.
+    """Robots whose results are functions of the work item; they implement `Robots`.
 
     Attributes:
       calls: every call of a `Robots` method: (name, robot, argument or None).
@@ -41,36 +41,36 @@ class StubRobots:
         iterate: Callable[[Work], IterationResult],
         decide: Callable[[Work], Push | None] = lambda work: None,
     ) -> None:
-        """Results of ITERATION and of INPUT work; both must depend on the work alone."""
+        """Set the functions for ITERATION and INPUT; both must depend on the item alone."""
         self._iterate = iterate
         self._decide = decide
         self.calls: list[tuple[str, int, int | Push | None]] = []
 
     def begin(self, robot: int, task: int) -> None:
-        """Noted."""
+        """Record the call."""
         self.calls.append(("begin", robot, task))
 
     def start_push(self, robot: int, push: Push) -> None:
-        """Noted."""
+        """Record the call."""
         self.calls.append(("start_push", robot, push))
 
     def drop_push(self, robot: int) -> None:
-        """Noted."""
+        """Record the call."""
         self.calls.append(("drop_push", robot, None))
 
     def go_on(self, robot: int) -> None:
-        """Noted."""
+        """Record the call."""
         self.calls.append(("go_on", robot, None))
 
     def compute(self, work: Work) -> IterationResult | Push | None:
-        """The result of any piece of work."""
+        """The result of a work item."""
         if work.kind is WorkKind.ITERATION:
             return self._iterate(work)
         return self._decide(work) if work.kind is WorkKind.INPUT else None
 
 
 def drive(fleets: Iterable[tuple[Fleet, StubRobots]]) -> None:
-    """Run fleets to their ends: in each round the pending work of all of them is one batch."""
+    """Run fleets to their ends; in each round, the work of all fleets is one batch."""
     fleets = list(fleets)
     while any(not fleet.done for fleet, _ in fleets):
         batch = [(fleet, robots, work) for fleet, robots in fleets for work in fleet.advance()]

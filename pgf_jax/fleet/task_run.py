@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-from pgf_jax.fleet.policies import Progress
+from pgf_jax.fleet.policies import TaskProgress
 from pgf_jax.fleet.records import NO_TERMS, State, TaskRecord
 from pgf_jax.fleet.robots import IterationResult
 from pgf_jax.planning.types import LOOK_AHEAD, NoInput, Push, Status
@@ -11,12 +11,12 @@ from pgf_jax.planning.types import LOOK_AHEAD, NoInput, Push, Status
 
 @dataclasses.dataclass
 class TaskRun:
-    """The running task of one robot; mutable, the simulator's own."""
+    """The state and the counters of one robot's running task; only the simulator changes it."""
 
     robot: int
     task: int
     start_ns: int
-    deadline_ns: int  # the task's limit; execution, which it does not count, puts it off
+    deadline_ns: int  # the task's limit; execution does not count, so it moves the limit
     state: State = State.PLANNING
     since_ns: int = 0
     spent_ns: dict[State, int] = dataclasses.field(default_factory=lambda: dict.fromkeys(State, 0))
@@ -24,11 +24,11 @@ class TaskRun:
     # The segment being planned.
     push: Push | None = None  # None: reaching
     push_deadline_ns: int = 0
-    nominal_done: bool = False  # its iteration 0 has ended
+    nominal_done: bool = False  # the segment's iteration 0 has ended
     stuck: bool = False  # after its last iteration
     checking: bool = False  # the final check of a feasible reach is under way
 
-    work_iterations: int = 0  # all, iteration 0s included: the next one's number in `Work`
+    work_iterations: int = 0  # iteration 0s included: the next iteration's number in `Work`
     iterations: int = 0
     reach_iterations: int = 0
     since_restart: int = 0  # reach iterations since the segment began or since the last input
@@ -52,17 +52,17 @@ class TaskRun:
         self.since_ns = self.start_ns
 
     def enter(self, state: State, now_ns: int) -> None:
-        """Book the time since the last change and change state."""
+        """Book the time since the last change of state, and change the state."""
         self.spent_ns[self.state] += now_ns - self.since_ns
         self.state, self.since_ns = state, now_ns
 
-    def new_segment(self) -> None:
-        """A new nominal, counter and history (D4)."""
+    def start_segment(self) -> None:
+        """Start a segment with a new nominal, stuck counter and history."""
         self.nominal_done = self.stuck = False
         self.since_restart = 0
 
-    def count(self, result: IterationResult) -> None:
-        """Book an iteration that has ended."""
+    def count_iteration(self, result: IterationResult) -> None:
+        """Count an iteration that has ended."""
         if result.non_finite:
             self.non_finite_at.append(self.work_iterations)
         self.saturated += result.saturated
@@ -80,11 +80,14 @@ class TaskRun:
 
     @property
     def request(self) -> int:
-        """Number of the service that is asked for, or under way."""
+        """Number of the present service, or else of the next one, as in `Work`."""
         return self.answered + self.unanswered
 
-    def answer(self, given: Push | NoInput | None) -> None:
-        """Book an input that is given now: the cost before it, and that those after it count."""
+    def count_input(self, given: Push | NoInput | None) -> None:
+        """Count an input that comes now, and record the cost before it.
+
+        The costs of the following reach iterations then go into `helped_cost`.
+        """
         if isinstance(given, NoInput):
             self.unanswered += 1
             self.expired += 1
@@ -94,9 +97,9 @@ class TaskRun:
         self.helped_cost.append(math.nan)
         self.helped_until = self.reach_iterations + LOOK_AHEAD
 
-    def progress(self, now_ns: int) -> Progress:
-        """What a policy may know."""
-        return Progress(
+    def progress(self, now_ns: int) -> TaskProgress:
+        """The task's progress, as policies see it."""
+        return TaskProgress(
             self.robot,
             self.task,
             self.reach_iterations,
@@ -105,18 +108,18 @@ class TaskRun:
             self.since_restart,
         )
 
-    def failure(self) -> Status:
-        """How a task that has run out of time ended.
+    def failure_status(self) -> Status:
+        """The status of a task that has run out of time.
 
-        The design names the statuses, not their order: a best trajectory that cannot be costed says
-        more than the counter, which cannot be trusted then.
+        NON_FINITE goes before STUCK: with a best cost that is not finite, the stuck counter cannot
+        be trusted.
         """
         if self.last_reach is not None and not math.isfinite(self.last_reach.cost):
             return Status.NON_FINITE
         return Status.STUCK if self.stuck else Status.TIMED_OUT
 
-    def record(self, status: Status, now_ns: int) -> TaskRecord:
-        """The record of the task, which ends now."""
+    def finish(self, status: Status, now_ns: int) -> TaskRecord:
+        """End the task now; returns its record."""
         self.enter(State.IDLE, now_ns)
         spent = {state: ns / 1e9 for state, ns in self.spent_ns.items()}
         window_ns = self.spent_ns[State.IN_WINDOW]

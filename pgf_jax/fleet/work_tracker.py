@@ -1,9 +1,9 @@
-"""The fleet's work: asked for, handed out, handed in."""
+"""Tracks work items from request to result."""
 
 from pgf_jax.fleet.robots import IterationResult, Result, Work, WorkKind
 from pgf_jax.planning.types import NoInput, Push
 
-_RESULTS = {
+_RESULT_TYPES = {
     WorkKind.ITERATION: IterationResult,
     WorkKind.RETREAT: type(None),
     WorkKind.INPUT: Push | NoInput | None,
@@ -11,37 +11,46 @@ _RESULTS = {
 
 
 class WorkTracker:
-    """Each piece of work from its request to the use of its result."""
+    """The work items of one fleet: requested, dispatched, delivered, and consumed by an event."""
 
     def __init__(self) -> None:
-        self._pending: list[Work] = []  # not handed out yet
-        self._outstanding: set[Work] = set()  # handed out, not handed in yet
-        self._results: dict[Work, Result] = {}  # handed in, not used yet
+        self._pending: list[Work] = []  # requested, not dispatched yet
+        self._outstanding: set[Work] = set()  # dispatched, not delivered yet
+        self._results: dict[Work, Result] = {}  # delivered, not consumed yet
         self._open: set[Work] = set()  # inputs of open services that may still come
 
     def request(self, work: Work, *, is_open: bool = False) -> None:
-        """Ask for work; `is_open`: nothing waits for it, its result ends a service."""
+        """Request work.
+
+        Args:
+          work: the item.
+          is_open: the work is the input of an open service: no scheduled event needs its result,
+            and its delivery ends the service.
+        """
         self._pending.append(work)
         if is_open:
             self._open.add(work)
 
     def dispatch(self) -> list[Work]:
-        """All that was asked for since the last call, by robot."""
+        """All work requested since the last call, by robot."""
         work = sorted(self._pending, key=lambda work: work.robot)
         self._pending = []
         self._outstanding.update(work)
         return work
 
     def deliver(self, work: Work, result: Result) -> bool:
-        """Take a result; whether it is the input of an open service.
+        """Store the result of dispatched work.
+
+        Returns:
+          Whether it is the input of an open service.
 
         Raises:
-          ValueError: the work was not handed out, or has been handed in before.
-          TypeError: the result is not of the type that the work's kind asks for.
+          ValueError: the work was not dispatched, or has been delivered before.
+          TypeError: the result has not the type that this kind of work has.
         """
         if work not in self._outstanding:
             raise ValueError(f"not outstanding: {work}")
-        if not isinstance(result, _RESULTS[work.kind]):
+        if not isinstance(result, _RESULT_TYPES[work.kind]):
             raise TypeError(f"{work.kind} cannot result in {result!r}")
         self._outstanding.remove(work)
         self._results[work] = result
@@ -50,15 +59,15 @@ class WorkTracker:
         return is_open
 
     def is_missing(self, work: Work | None) -> bool:
-        """Whether it is work whose result is not there yet."""
+        """Whether the result of `work` has not been delivered yet; False for None."""
         return work is not None and work not in self._results
 
     def consume(self, work: Work | None) -> Result:
-        """The result of work, which is then forgotten; None of no work."""
+        """Remove and return the result of `work`; None for None."""
         return None if work is None else self._results.pop(work)
 
-    def close(self, robot: int) -> None:
-        """The robot's open service has ended without its input: nobody can hand it in any more."""
+    def cancel_open_input(self, robot: int) -> None:
+        """Cancel the input of the robot's open service: it can no longer be delivered."""
         for work in [work for work in self._open if work.robot == robot]:
             self._open.remove(work)
             self._outstanding.discard(work)
@@ -66,6 +75,6 @@ class WorkTracker:
                 self._pending.remove(work)
 
     def clear(self) -> None:
-        """Forget what was asked for, and all results."""
+        """Drop all requests that were not dispatched, and all results."""
         self._pending.clear()
         self._results.clear()

@@ -1,10 +1,11 @@
-"""A log-normal distribution fitted to service times, some of which are only known to be longer.
+"""Fits a log-normal distribution to service times, some of which are right-censored.
 
-A service that ended without an input (the task's limit, the operator's silence, the horizon) would
-have lasted longer: it is right-censored at its length. The fit is the maximum of the likelihood
-with that. Its intervals are bias-corrected percentiles of a bootstrap over services with a fixed
-seed. Of 1000 simulated samples with sd = mean / 2, those for 95 % held the mean and the sd in: 89 %
-and 80 % at 10 answers each, 93 % and 88 % at 20, 92 % and 91 % at 40.
+A service that ended without an input (at the task's limit, at the horizon, or because the operator
+did not answer) would have lasted longer: it is right-censored at its length. The fit maximises the
+likelihood of such data. Its intervals are bias-corrected percentiles of a bootstrap over services
+with a fixed seed. In 1000 simulated samples with sd = mean / 2, the 95 % intervals contained the
+mean and the sd in 89 % and 80 % of the samples at 10 answers each, in 93 % and 88 % at 20, in 92 %
+and 91 % at 40.
 """
 
 import dataclasses
@@ -20,9 +21,9 @@ from pgf_jax.streams import stream
 
 ANSWERS = ("push", "go_on")
 NO_ANSWER = ("expired", "unanswered", "censored")
-FEW = 20  # answers, below which the fit comes with a warning
-BOOTSTRAP = 1000
-LONGEST = 1e9  # s; a log's clock counts to 9.2e9
+FEW = 20  # with fewer answers, the fit has a warning
+BOOTSTRAP = 1000  # number of bootstrap samples
+LONGEST = 1e9  # s, of mean + sd; times in a log end at 9.2e9
 
 Range = tuple[float, float]
 
@@ -32,9 +33,10 @@ class Service(NamedTuple):
 
     Attributes:
       seconds: from its grant to its end.
-      outcome: of `ANSWERS`, or of `NO_ANSWER`: it would have lasted longer.
-      draw: services that share it are not independent: the bootstrap keeps them together. Fleets of
-        one sweep draw the n-th input's time of a task only once (common random numbers).
+      outcome: one of `ANSWERS`, or of `NO_ANSWER`: then it would have lasted longer.
+      draw: key of the random draw; services with the same key are not independent, and the
+        bootstrap keeps them together. The fleets of one sweep draw the time of a task's n-th input
+        only once (common random numbers).
     """
 
     seconds: float
@@ -44,11 +46,11 @@ class Service(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class ServiceSample:
-    """Services of one log or of several.
+    """The services of one log or of several logs.
 
     Attributes:
       services: in the order of their ends.
-      cut_off: grants without an end, of logs that break off: they are not among the services.
+      cut_off: grants without an end, where a log breaks off; they are not among the services.
     """
 
     services: tuple[Service, ...]
@@ -57,22 +59,22 @@ class ServiceSample:
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """A log-normal distribution of service times; what `LogNormal` and the sweeps take.
+    """A fitted log-normal distribution of service times, as `LogNormal` and sweeps take it.
 
     Attributes:
       mean_s, sd_s: `--service-mean` and `--service-sd` of a sweep.
       median_s: exp(mu), of the mean mu of ln(s).
       sigma: standard deviation of ln(s).
       mean_interval_s, sd_interval_s, median_interval_s: 95 %, by the bootstrap; None where there
-        are less than two draws with an answer.
+        are fewer than two draws with an answer.
       answered: services with an answer.
-      without_answer: services without, that are right-censored.
-      draws: independent ones among the answers; fewer than those only in logs of sweeps.
-      cut_off: services whose end the logs do not hold, and that are left out.
-      push_share: of the answers, those that are pushes.
+      without_answer: services without an answer; they are right-censored.
+      draws: independent draws among the answers; fewer than answers only in logs of sweeps.
+      cut_off: services whose end is not in the logs; they are left out.
+      push_share: share of the answers that are pushes.
       ks: largest distance between the fit's distribution function and the empirical one
-        (Kaplan-Meier's, which allows for the censored). No test: its level is not that of a
-        distribution chosen beforehand.
+        (Kaplan-Meier's, which allows for censoring). It is no test, because the distribution was
+        fitted to the same data.
     """
 
     mean_s: float
@@ -91,12 +93,12 @@ class Fit:
 
     @property
     def command(self) -> str:
-        """How to sweep with it."""
+        """The command line of a sweep with this distribution."""
         return f"pgf-jax sweep --service-mean {self.mean_s:.3g} --service-sd {self.sd_s:.3g}"
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to keep in mind, one line each."""
+        """Warnings about the fit, one line each."""
         lines = []
         if self.draws < FEW:
             lines.append(f"fewer than {FEW} answers ({self.draws}): the intervals are too narrow")
@@ -105,25 +107,24 @@ class Fit:
         return tuple(lines)
 
     def cdf(self, seconds: np.ndarray) -> np.ndarray:
-        """Share of services that take no longer."""
+        """Share of services that take at most this time."""
         if self.sigma == 0:
             return (seconds >= self.median_s).astype(float)
         return 1 - _survival((_log(seconds) - math.log(self.median_s)) / self.sigma)
 
 
 def fit(sample: ServiceSample, *, seed: int = 0) -> Fit:
-    """The log-normal distribution of the greatest likelihood.
+    """Fit the log-normal distribution of maximum likelihood.
 
-    Services that all take equally long have sd 0. A service of 0 s beside others that are longer
-    has no place in a log-normal distribution and is refused, rather than given a length that would
-    decide the fit.
+    Services of equal length give sd 0. An answer after 0 s beside longer answers is refused: it has
+    no place in a log-normal distribution, and any length given to it would decide the fit.
 
     Args:
-      sample: with one answer or more.
-      seed: of the bootstrap.
+      sample: has one answer or more.
+      seed: seed of the bootstrap.
 
     Raises:
-      BadInput: no answer, an answer after 0 s, or a spread without bounds.
+      BadInput: no answer, an answer after 0 s, or an unbounded spread.
     """
     seconds, answered = arrays(sample)
     times, limits = seconds[answered], seconds[~answered]
@@ -174,7 +175,7 @@ def fit(sample: ServiceSample, *, seed: int = 0) -> Fit:
 
 
 def arrays(sample: ServiceSample) -> tuple[np.ndarray, np.ndarray]:
-    """[n] lengths of a sample's services, s, and [n] whether they were answered."""
+    """[n] lengths of a sample's services, s, and [n] bool: whether they were answered."""
     seconds = np.array([service.seconds for service in sample.services], dtype=float)
     answered = np.array([service.outcome in ANSWERS for service in sample.services], dtype=bool)
     return seconds, answered
@@ -186,12 +187,12 @@ def _log(seconds: np.ndarray) -> np.ndarray:
 
 
 def _constant(times: np.ndarray, limits: np.ndarray) -> bool:
-    """Whether the likelihood grows without bounds towards a constant; times or their logarithms."""
+    """Whether the likelihood is unbounded at a constant; for times or their logarithms."""
     return times.min() == times.max() and limits.max(initial=-np.inf) <= times[0]
 
 
 def _moments(mu: float, sigma: float) -> tuple[float, float, float]:
-    """(mean, sd, median) of the log-normal; inf beyond the floats."""
+    """(mean, sd, median) of the log-normal distribution; inf where too large for a float."""
     with np.errstate(over="ignore"):
         median, mean = float(np.exp(mu)), float(np.exp(mu + sigma**2 / 2))
         sd = mean * float(np.sqrt(np.expm1(sigma**2))) if sigma else 0.0
@@ -199,13 +200,13 @@ def _moments(mu: float, sigma: float) -> tuple[float, float, float]:
 
 
 def _maximum(logs: np.ndarray, answered: np.ndarray, weights: np.ndarray) -> Range:
-    """(mu, sigma) of the greatest weighted likelihood of ln(s), right-censored ones included.
+    """(mu, sigma) of maximum weighted likelihood of ln(s), some of which are right-censored.
 
     Newton's method on gamma = 1 / sigma and delta = mu / sigma, in which the log-likelihood is
-    concave (Olsen 1978, Econometrica 46, 1211): with steps that never lower it, it finds the one
-    maximum.
+    concave (Olsen 1978, Econometrica 46, 1211). Steps never lower it, so that the method finds the
+    only maximum.
     """
-    # At weight 0 a service is not there, and censored at 0 s (-inf) it says nothing.
+    # Services of weight 0 are not in the sample; those censored at 0 s (-inf) carry no information.
     keep = (weights > 0) & (logs > -np.inf)
     logs, answered, weights = logs[keep], answered[keep], weights[keep]
     if _constant(logs[answered], logs[~answered]):
@@ -243,8 +244,8 @@ def _maximum(logs: np.ndarray, answered: np.ndarray, weights: np.ndarray) -> Ran
             ]
         )
         step = np.linalg.solve(hessian, gradient)
-        rise = float(gradient @ step)  # twice what a whole step gains, if it is small
-        if rise < 1e-12 * total:  # and the next would be of its square
+        rise = float(gradient @ step)  # twice what a whole step gains, if the step is small
+        if rise < 1e-12 * total:  # the next rise would be of the order of its square
             gamma, delta = gamma + step[0], delta + step[1]
             break
         part = 1.0
@@ -262,7 +263,7 @@ def _survival(z: np.ndarray) -> np.ndarray:
 
 
 def _hazard(z: np.ndarray) -> np.ndarray:
-    """Density over survival; far out, where both vanish, Laplace's continued fraction."""
+    """Density over survival; above z = 30, where both vanish, Laplace's continued fraction."""
     far = np.maximum(z, 30.0)
     fraction = far
     for k in range(6, 0, -1):
@@ -283,7 +284,8 @@ def _bootstrap(
 ) -> list[Range | None]:
     """95 % ranges of mean, sd and median over samples of draws, taken with replacement.
 
-    Corrected for bias (Efron 1981): small samples understate the sd, and samples of samples more.
+    They are corrected for bias (Efron 1981): small samples understate the sd, and bootstrap samples
+    understate it more.
     """
     rng = stream(seed, "bootstr")
     count = int(draws.max()) + 1
@@ -298,22 +300,22 @@ def _bootstrap(
         below = float(np.mean(values < value) + np.mean(values == value) / 2)
         bias = normal.inv_cdf(min(max(below, 1 / BOOTSTRAP), 1 - 1 / BOOTSTRAP))
         levels = [normal.cdf(2 * bias + normal.inv_cdf(p)) for p in (0.025, 0.975)]
-        # Values as they are: between two of them there may be infinity.
+        # No interpolation between values, because some may be infinite.
         low, high = np.quantile(values, levels, method="nearest")
         ranges.append((float(low), float(high)))
     return ranges
 
 
 def kaplan_meier(seconds: np.ndarray, answered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(all lengths in order, share of services that take no longer than each)."""
+    """The Kaplan-Meier estimate: (all lengths in order, share of services of at most each)."""
     lengths, where = np.unique(seconds, return_inverse=True)
     ended = np.bincount(where, weights=answered)
-    there = np.cumsum(np.bincount(where)[::-1])[::-1]  # no shorter
-    return lengths, 1 - np.cumprod(1 - ended / there)
+    at_risk = np.cumsum(np.bincount(where)[::-1])[::-1]  # services of at least each length
+    return lengths, 1 - np.cumprod(1 - ended / at_risk)
 
 
 def _distance(result: Fit, seconds: np.ndarray, answered: np.ndarray) -> float:
-    """Kolmogorov's and Smirnov's, up to the longest service; 0 for a constant, by definition."""
+    """Kolmogorov-Smirnov distance up to the longest service; 0 by definition for a constant."""
     if result.sd_s == 0:
         return 0.0
     lengths, after = kaplan_meier(seconds, answered)

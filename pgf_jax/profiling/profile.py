@@ -1,8 +1,8 @@
-"""Throughput of the engines, side by side in one run, and where the time of an iteration goes.
+"""Measures the throughput of the engines in one run, and the parts of a planner iteration.
 
-The rollouts are the planner's own: sampled scenes of the three classes, reach nominals with the
-planner's noise. Engines take turns call by call, so that another load on the machine meets all of
-them; compile time is kept apart.
+The rollouts are like the planner's: sampled scenes of the three classes, and reach nominals with
+the planner's noise. Engines take turns call by call, so that other load on the computer affects all
+of them equally. Compile time is measured separately.
 """
 
 import json
@@ -27,10 +27,10 @@ from pgf_jax.planning.planner import BatchPlanner, start_world
 from pgf_jax.profiling.config import ProfileConfig
 from pgf_jax.scene import PRESETS, Scene, sample_scene
 
-ITERATION_S = 3.0  # simulated: K rollouts in parallel and the winner's own, 1.5 s each (D8)
+ITERATION_S = 3.0  # simulated s: K parallel rollouts, then the winner's own, 1.5 s each
 
-# The settings each engine is tried at; the fastest is its headline. All of them solve the same
-# problem: `experiments/parity.py` says how far the cheap ones end from the converged solution.
+# Settings to try for each engine; the fastest counts. All of them solve the same problem:
+# `experiments/parity.py` measures how far the cheap ones end from the converged solution.
 SETTINGS: dict[str, list[dict[str, Any]]] = {
     "planar": [{}],
     "mjx": [{}],
@@ -45,10 +45,11 @@ SETTINGS: dict[str, list[dict[str, Any]]] = {
 def profile(config: ProfileConfig) -> dict[str, Any]:
     """Measure, print (a table or JSON) and return `{"machine": ..., "engines": {NAME: ...}}`.
 
-    An engine's `steps_per_s` is that of its best settings and lane count, which stand beside it
-    (`settings`, `lanes`, `workers`: cores that its threads may use); `by_lanes` has every lane
-    count. `robot_s_per_s` is simulated planning time of robots a second of this machine's.
-    `iteration` splits a whole planner iteration at the best setting: see `split_iteration`.
+    An engine's `steps_per_s` is that of its best settings and lane count, which are in the same
+    entry (`settings`, `lanes`, `workers`: cores that its threads may use). `by_lanes` has all
+    settings and lane counts. `robot_s_per_s` is the simulated planning time of robots per second of
+    real time. `iteration` has the parts of a planner iteration at the best settings: see
+    `split_iteration`.
     """
     if config.cores is not None:
         pin(usable()[: config.cores])
@@ -61,11 +62,11 @@ def profile(config: ProfileConfig) -> dict[str, Any]:
     for name, runs in engines.items():
         best = max(runs, key=lambda run: run["steps_per_s"])
         result["engines"][name] = {
-            **_plain(best),
+            **_json_entry(best),
             "iteration": split_iteration(best["engine"], config),
             "memory_lanes": config.memory_lanes,
             "memory_mib": _memory_mib(name, config),
-            "by_lanes": [_plain(run) for run in runs],
+            "by_lanes": [_json_entry(run) for run in runs],
         }
     reference = result["engines"].get("native")
     if reference:
@@ -79,7 +80,7 @@ def profile(config: ProfileConfig) -> dict[str, Any]:
 
 
 def rollouts(engine: Engine, seed: int) -> tuple[World, np.ndarray, np.ndarray]:
-    """Realistic work for one call: L lanes of K rollouts ([L K] worlds, controls, gripper)."""
+    """The arguments of a typical call: L lanes of K rollouts; see `noisy_nominals`."""
     scenes = [sample_scene(seed + i, PRESETS[i % len(PRESETS)]) for i in range(engine.lanes)]
     return noisy_nominals(engine, scenes, seed)
 
@@ -87,7 +88,7 @@ def rollouts(engine: Engine, seed: int) -> tuple[World, np.ndarray, np.ndarray]:
 def noisy_nominals(
     engine: Engine, scenes: Sequence[Scene], seed: int
 ) -> tuple[World, np.ndarray, np.ndarray]:
-    """Each scene's reach nominal, K times, with the planner's noise.
+    """The reach nominal of each scene, K times, with the planner's noise.
 
     Returns:
       [scenes K] worlds, [scenes K, T, 3] controls and [scenes K, T] gripper values.
@@ -151,7 +152,7 @@ def _take_turns(engines: dict[str, list[dict[str, Any]]], config: ProfileConfig)
 
 
 class _Stopwatch:
-    """An engine, and the time that its rollouts took."""
+    """An engine that adds up the time of its rollouts."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine, self.seconds = engine, 0.0
@@ -167,10 +168,10 @@ class _Stopwatch:
 
 
 def split_iteration(engine: Engine, config: ProfileConfig) -> dict[str, float]:
-    """Where the time of a planner iteration of L robots goes, ms; medians.
+    """Time of the parts of a planner iteration of L robots, ms; medians.
 
-    `rollout` is the engine's; `propose` draws the noise, `absorb` is cost terms and the update,
-    both jitted; `host` is the rest: lanes gathered into one batch, and results handed back.
+    `rollout` is the engine's part; `propose` draws the noise, `absorb` computes cost terms and the
+    update, both jitted; `host` is the rest: collecting lanes into a batch and returning results.
     """
     watch = _Stopwatch(engine)
     planner = BatchPlanner(watch)  # pyright: ignore[reportArgumentType]
@@ -198,7 +199,7 @@ def split_iteration(engine: Engine, config: ProfileConfig) -> dict[str, float]:
         searches = planner.step(searches, list(of_call))
         parts["total"].append(time.perf_counter() - begin)
         parts["rollout"].append(watch.seconds)
-    # The first call compiles, and is the nominals'.
+    # The first two calls do not count: the nominals' rollouts, and compilation.
     ms = {name: 1e3 * statistics.median(values[2:]) for name, values in parts.items()}
     ms["host"] = ms["total"] - ms["rollout"] - ms["propose"] - ms["absorb"]
     return {f"{name}_ms": value for name, value in ms.items()}
@@ -210,7 +211,7 @@ def _seconds(engine: Engine, work: tuple[World, np.ndarray, np.ndarray]) -> floa
     return time.perf_counter() - begin
 
 
-def _plain(run: dict[str, Any]) -> dict[str, Any]:
+def _json_entry(run: dict[str, Any]) -> dict[str, Any]:
     return {k: v for k, v in run.items() if k not in ("engine", "work", "seconds")}
 
 
@@ -218,19 +219,19 @@ _MEMORY_PROBE = """
 import sys, jax
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import make_engine
-from pgf_jax.study.profile import rollouts
+from pgf_jax.profiling.profile import rollouts
 engine = make_engine(sys.argv[1], physics=PHYSICS[sys.argv[2]], lanes=int(sys.argv[3]))
 jax.block_until_ready(engine.rollout(*rollouts(engine, 0), engine.physics.substeps))
-# Linux carries ru_maxrss over from the parent; VmHWM is this program's own peak.
+# On Linux ru_maxrss includes the parent's peak; VmHWM is this program's own.
 status = dict(line.split(":", 1) for line in open("/proc/self/status"))
 print(float(status["VmHWM"].split()[0]) / 1024)
 """
 
 
 def _memory_mib(name: str, config: ProfileConfig) -> float:
-    """Peak resident memory of a process of its own that rolls one batch of `memory_lanes` out.
+    """Peak resident memory, MiB, of a new process that rolls out a batch of `memory_lanes`.
 
-    nan where the system does not say (not Linux).
+    nan on systems other than Linux.
     """
     if not Path("/proc/self/status").exists():
         return float("nan")

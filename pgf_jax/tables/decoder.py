@@ -1,12 +1,12 @@
-"""Parquet of any origin, decoded in a process of its own.
+"""Decodes Parquet files of unknown origin in a separate process.
 
-Polars' decoder panics on many damaged files, each time with a trace of its calls on standard error,
-and on some it ends the process: about one in 300 of files with a few changed bytes makes it ask for
-2e18 bytes. That must not end a sweep that looks for finished cells, nor a server. So one process,
-started at the first table and kept for the next ones, decodes them; where it dies, takes too long
-or takes too much memory, the file is a bad one. It returns the table as Arrow's IPC stream.
+Polars' decoder panics on many damaged files, with a stack trace on standard error, and some files
+end the process: of files with a few changed bytes, about one in 300 makes it request 2e18 bytes of
+memory. This must not end a sweep that looks for finished cells, or a server. So a decoder process
+is started at the first table and kept for later ones. If it dies, takes too long or needs too much
+memory, the file is bad. It returns the table as an Arrow IPC stream.
 
-The process runs this file alone: nothing of pgf_jax, so that it starts as soon as Polars does.
+The process runs this file alone and imports nothing of pgf_jax, so that it starts fast.
 """
 
 import atexit
@@ -24,31 +24,31 @@ from typing import IO
 
 import polars as pl
 
-MEMORY = 4 << 30  # bytes that the process may take: 5e6 events fit
-SECONDS = 60.0  # for one table
-_SLOWEST = 20e6  # bytes/s of a file: large ones may take longer
-_HEAD = struct.Struct("<BQ")  # how it went, bytes that follow
-_OK, _BAD, _LAST = 0, 1, 2  # last: bad, and who knows what a panic has left behind
+MEMORY = 4 << 30  # most bytes of memory of the process: 5e6 events fit
+SECONDS = 60.0  # most time for one table
+_SLOWEST = 20e6  # bytes/s of a file: large files may take longer
+_HEAD = struct.Struct("<BQ")  # status, number of bytes that follow
+_OK, _BAD, _LAST = 0, 1, 2  # last: bad, and the process ends because a panic may have broken it
 
 
 class Undecodable(Exception):
-    """The bytes are no Parquet file; says why in one line."""
+    """The bytes are no readable Parquet file; the message says why in one line."""
 
 
 def decode(data: bytes) -> tuple[pl.DataFrame, dict[str, str]]:
-    """The table of a Parquet file, and the texts that its writer added to it.
+    """The table of a Parquet file, and the file's metadata.
 
     Raises:
-      Undecodable: they are not a whole Parquet file, or one of no reasonable size.
+      Undecodable: the bytes are not a whole Parquet file, or the table is too large.
     """
     global _process
-    # Every Parquet file begins and ends so; of others the decoder has little to say.
+    # Every Parquet file begins and ends like this; the decoder's message for others is unclear.
     if len(data) < 12 or data[:4] != b"PAR1" or data[-4:] != b"PAR1":
         raise Undecodable("it does not begin and end as one")
     with _lock:
-        if _process is None or _process.pid != os.getpid():  # of before a fork: not ours
+        if _process is None or _process.pid != os.getpid():  # after a fork it is the parent's
             _process = _Process()
-        status = _LAST  # at Ctrl-C, too: what it said next would be the answer to this
+        status = _LAST  # also at Ctrl-C: the next answer would be the one to this request
         try:
             status, answer = _process.ask(data)
         except _Died as error:
@@ -63,15 +63,15 @@ def decode(data: bytes) -> tuple[pl.DataFrame, dict[str, str]]:
     return pl.read_ipc_stream(io.BytesIO(table)), json.loads(texts)
 
 
-# -- here ------------------------------------------------------------------------------------------
+# -- in this process -------------------------------------------------------------------------------
 
 
 class _Died(Exception):
-    """The process has ended without an answer, or was ended."""
+    """The decoder process has died, or takes too long."""
 
 
 class _Process:
-    """The process, seen from here."""
+    """The decoder process: starts it, sends it files and takes its answers."""
 
     def __init__(self) -> None:
         environment = {
@@ -82,19 +82,19 @@ class _Process:
         }
         self.pid = os.getpid()
         self._popen = subprocess.Popen(
-            [sys.executable, "-P", __file__],  # -P: our modules' names are not the library's
+            [sys.executable, "-P", __file__],  # -P: modules of this folder must not hide others
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,  # panics
             env=environment,
-            start_new_session=True,  # Ctrl-C is for us: we end it
+            start_new_session=True,  # Ctrl-C reaches only the parent, which ends the process
         )
         assert self._popen.stdin is not None and self._popen.stdout is not None
         self._to, self._from = self._popen.stdin.fileno(), self._popen.stdout.fileno()
         os.set_blocking(self._to, False)
         os.set_blocking(self._from, False)
         try:
-            self._left(_HEAD.size, time.monotonic() + SECONDS)  # Polars is imported
+            self._receive(_HEAD.size, time.monotonic() + SECONDS)  # sent once Polars is imported
         except BaseException as error:
             self.end()
             if isinstance(error, _Died):
@@ -102,19 +102,19 @@ class _Process:
             raise
 
     def ask(self, data: bytes) -> tuple[int, bytes]:
-        """How it went, and the answer, or why it could not be decoded."""
+        """Decode a file; returns the status, and the answer or the reason of the failure."""
         until = time.monotonic() + SECONDS + len(data) / _SLOWEST
-        self._give(_HEAD.pack(_OK, len(data)), until)
-        self._give(data, until)
-        status, size = _HEAD.unpack(self._left(_HEAD.size, until))
-        return status, self._left(size, until)
+        self._send(_HEAD.pack(_OK, len(data)), until)
+        self._send(data, until)
+        status, size = _HEAD.unpack(self._receive(_HEAD.size, until))
+        return status, self._receive(size, until)
 
     def end(self) -> None:
-        """End it."""
+        """Kill the process and wait for its end."""
         self._popen.kill()
         self._popen.communicate()
 
-    def _give(self, data: bytes, until: float) -> None:
+    def _send(self, data: bytes, until: float) -> None:
         view = memoryview(data)
         while view:
             self._wait(until, to=True)
@@ -123,9 +123,9 @@ class _Process:
             except BlockingIOError:
                 continue
             except BrokenPipeError:
-                raise self._dead() from None
+                raise self._death() from None
 
-    def _left(self, size: int, until: float) -> bytes:
+    def _receive(self, size: int, until: float) -> bytes:
         data = bytearray()
         while len(data) < size:
             self._wait(until, to=False)
@@ -134,7 +134,7 @@ class _Process:
             except BlockingIOError:
                 continue
             if not part:
-                raise self._dead()
+                raise self._death()
             data += part
         return bytes(data)
 
@@ -144,7 +144,7 @@ class _Process:
         if not poll.poll(max(0.0, until - time.monotonic()) * 1000):
             raise _Died(f"it takes longer than {SECONDS:g} s to decode")
 
-    def _dead(self) -> _Died:
+    def _death(self) -> _Died:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._popen.wait(10)
         return _Died(f"its decoder died, exit code {self._popen.poll()}")
@@ -160,7 +160,7 @@ def _end() -> None:
         _process.end()
 
 
-# -- there -----------------------------------------------------------------------------------------
+# -- in the decoder process ------------------------------------------------------------------------
 
 
 def _split(answer: bytes) -> tuple[bytes, bytes]:
@@ -169,7 +169,7 @@ def _split(answer: bytes) -> tuple[bytes, bytes]:
 
 
 def _answer(data: bytes) -> list[bytes | memoryview]:
-    """What is sent back: length of the texts, texts, table."""
+    """The parts of the answer: length of the metadata, metadata, table."""
     frame = pl.read_parquet(io.BytesIO(data))
     texts = json.dumps(pl.read_parquet_metadata(io.BytesIO(data))).encode()
     table = io.BytesIO()
@@ -197,15 +197,15 @@ def _serve(ours: IO[bytes], theirs: IO[bytes]) -> None:
         del data, answer, part
 
 
-def _limit() -> None:
+def _limit_memory() -> None:
     import resource
 
-    with contextlib.suppress(OSError, ValueError):  # not everywhere
+    with contextlib.suppress(OSError, ValueError):  # not every system has it
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 if __name__ == "__main__":
-    _limit()
+    _limit_memory()
     _serve(sys.stdin.buffer, sys.stdout.buffer)

@@ -1,8 +1,9 @@
-"""Event logs as files: one format for people and simulated operators.
+"""Event logs on disk, in one format for people and simulated operators.
 
-A session writes `events.jsonl` as it goes: a first line that says what the session depends on, then
-a line an event, each with the columns that apply. `events.parquet` is the same as a table; sweeps
-write theirs as such a table too, of one fleet or, with the columns `policy` and `robots`, of many.
+A session writes the journal `events.jsonl` while it runs: a first line (the header) with everything
+that the session depends on, then one line for each event, with the columns that apply. The table
+`events.parquet` holds the same events. Sweeps write such tables too: of one fleet, or of several
+with the columns `policy` and `robots`.
 """
 
 import contextlib
@@ -42,21 +43,22 @@ from pgf_jax.tables.results import (
 JOURNAL, TABLE = "events.jsonl", "events.parquet"
 FORMAT = 1
 _KIND = "pgf_jax session"
-_HEADER = 1 << 20  # bytes, more than any header takes
-_JOURNAL_MOST = 256 * MIB  # 30 robots with 50 tasks each write some 20
-_WHAT = "an event log"
+_LONGEST_LINE = 1 << 20  # bytes, more than any header has
+_LARGEST_JOURNAL = 256 * MIB  # 30 robots with 50 tasks each write about 20
+_EXPECTED = "an event log"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class EventLog:
-    """What a log holds.
+    """The content of an event log.
 
     Attributes:
       path: the file.
-      fleets: events of each fleet, in order; a session has one.
-      about: `settings` and `identity` of the session that wrote it, and whatever else it said of
-        itself; empty for the log of a sweep.
-      size: bytes of it that could be read: a process that was killed leaves a part of a line.
+      fleets: the events of each fleet, in order; a session has one fleet.
+      about: the header of the session that wrote the log, with `settings` and `identity`; empty for
+        the log of a sweep.
+      size: number of bytes that could be read: the last line may be cut off where a process was
+        killed.
     """
 
     path: Path
@@ -66,15 +68,15 @@ class EventLog:
 
     @property
     def settings(self) -> dict[str, Any] | None:
-        """Of the session; None in the log of a sweep."""
+        """The settings of the session; None in the log of a sweep."""
         return self.about.get("settings")
 
     @property
     def events(self) -> list[Event]:
-        """Of the one fleet.
+        """The events of the only fleet.
 
         Raises:
-          BadInput: the log is of several.
+          BadInput: the log is not of one fleet.
         """
         if len(self.fleets) != 1:
             raise BadInput(f"{self.path}: expected the log of one fleet, got {len(self.fleets)}")
@@ -89,11 +91,11 @@ def read_log(path: Path | str) -> EventLog:
 
     Raises:
       BadInput: one line that names the file: missing, corrupt, or no event log. A last line that
-        was cut off is left out: a killed session's log is a log.
+        was cut off is no error: the session was killed, and the line is left out.
     """
     path = Path(path)
     if is_folder(path):
-        # A session that goes on has no table; one that has ended has the end in the table only.
+        # A running session has no table yet; the events at a session's end are in the table only.
         found = [path / name for name in (TABLE, JOURNAL) if is_file(path / name)]
         if not found:
             raise BadInput(f"{path}: expected a folder with {TABLE} or {JOURNAL}")
@@ -115,12 +117,12 @@ def read_log(path: Path | str) -> EventLog:
 
 
 def write_log(path: Path, events: Iterable[Event], about: Mapping[str, Any]) -> None:
-    """Write the log of a session as a table."""
+    """Write the log of a session as a table, with its header as provenance."""
     write_table(path, events_frame(events), about)
 
 
 def first_difference(events: Sequence[Event], log: Sequence[Event]) -> int | None:
-    """Index of the first event of a log that is not the one at its place; None if they all are."""
+    """Index of the first event of `log` that differs from `events`; None if there is none."""
     for number, theirs in enumerate(log):
         if number == len(events) or line(events[number]) != line(theirs):
             return number
@@ -128,7 +130,7 @@ def first_difference(events: Sequence[Event], log: Sequence[Event]) -> int | Non
 
 
 def digest(events: Iterable[Event]) -> str:
-    """Of a log's events, however they are stored."""
+    """The digest of a log's events; it does not depend on how they are stored."""
     return sha256("".join(map(line, events)).encode())
 
 
@@ -136,12 +138,12 @@ def digest(events: Iterable[Event]) -> str:
 
 
 def line(event: Event) -> str:
-    """An event as a line of JSON, newline included; what is not known (nan) is left out."""
+    """An event as a line of JSON with its newline; columns that are None or nan are left out."""
     columns = {}
     for name, value in zip(Event._fields, event, strict=True):
         if value is None or (isinstance(value, float) and math.isnan(value)):
             continue
-        # JSON has no word for it, and a bid of a stuck robot is just that.
+        # JSON has no infinity, which a stuck robot bids.
         columns[name] = "inf" if value == math.inf else value
     return json.dumps(columns) + "\n"
 
@@ -171,10 +173,10 @@ def _event(columns: Any, where: str) -> Event:
 
 
 def _check(event: Event, before: Event | None, where: str) -> None:
-    """What `Event` and the order of a log promise."""
+    """Check the values of an event, and that it is not earlier than the one before."""
     for name in ("time_ns", "robot", "task", "request", "operator", "iteration", "object"):
         value = getattr(event, name)
-        # One number less than the iterations that have ended: -1 stands nowhere.
+        # Before the first iteration has ended, `iteration` is None and not -1.
         if value is not None and not 0 <= value < 2**62:
             raise BadInput(f"{where}: {name} must be 0 or more, got {value}")
     for name in ("x", "y"):
@@ -192,11 +194,11 @@ def _read_journal(path: Path) -> EventLog:
     events: list[Event] = []
     size = 0
     try:
-        with open_file(path, _WHAT, _JOURNAL_MOST) as file:
-            for number, text in enumerate(iter(lambda: file.readline(_HEADER), b"")):
+        with open_file(path, _EXPECTED, _LARGEST_JOURNAL) as file:
+            for number, text in enumerate(iter(lambda: file.readline(_LONGEST_LINE), b"")):
                 where = f"{path}: line {number + 1}"
                 if not text.endswith(b"\n"):
-                    if len(text) == _HEADER:
+                    if len(text) == _LONGEST_LINE:
                         raise BadInput(f"{where}: is longer than that of any event")
                     break  # cut off
                 content = _json(text, where)
@@ -208,9 +210,9 @@ def _read_journal(path: Path) -> EventLog:
                     events.append(event)
                 size += len(text)
     except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}), expected {_WHAT}") from None
+        raise BadInput(f"{path}: cannot be read ({error.strerror}), expected {_EXPECTED}") from None
     if not about:
-        raise BadInput(f"{path}: is empty, expected {_WHAT}")
+        raise BadInput(f"{path}: is empty, expected {_EXPECTED}")
     return EventLog(path, [events], about, size)
 
 
@@ -230,7 +232,7 @@ def _header(content: Any, where: str) -> dict[str, Any]:
 
 
 def _checked(about: dict[str, Any], where: str) -> dict[str, Any]:
-    """What a session says of itself, if it is that."""
+    """Check the header of a session."""
     for name in ("settings", "identity"):
         if not isinstance(about.get(name), dict):
             raise BadInput(f"{where}: expected {name} of the session, got none")
@@ -240,7 +242,7 @@ def _checked(about: dict[str, Any], where: str) -> dict[str, Any]:
 
 
 def _read_table(path: Path) -> tuple[pl.DataFrame, Mapping[str, str]]:
-    frame, metadata = decode_table(read_file(path, _WHAT, LARGEST), path)
+    frame, metadata = decode_table(read_file(path, _EXPECTED, LARGEST), path)
     schema = MERGED_EVENT_SCHEMA if "policy" in frame.columns else EVENT_SCHEMA
     return conform(frame, path, schema), metadata
 
@@ -248,7 +250,7 @@ def _read_table(path: Path) -> tuple[pl.DataFrame, Mapping[str, str]]:
 def _provenance(metadata: Mapping[str, str], path: Path) -> Mapping[str, Any]:
     try:
         about = provenance(metadata, path)
-    except BadInput:  # a cell of a sweep does not say
+    except BadInput:  # the table of a sweep's cell has none
         return {}
     return _checked(about, str(path)) if "settings" in about else {}
 
@@ -257,22 +259,22 @@ def _provenance(metadata: Mapping[str, str], path: Path) -> Mapping[str, Any]:
 
 
 class Journal:
-    """Writes `events.jsonl` as things happen.
+    """Writes `events.jsonl` while a session runs.
 
-    What `append` has returned from is on the disk: a process that is killed, or a computer that is
-    switched off, loses nothing that was acknowledged.
+    Events are on the disk when `append` returns, so that they are not lost when the process is
+    killed or the computer is switched off.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Any] | None, *, keep: int = 0) -> None:
-        """Begin a journal, or go on with one.
+        """Begin a new journal, or continue an old one.
 
         Args:
           path: the file.
-          about: `settings` and `identity` for a new one; None: go on.
-          keep: bytes of the old one that could be read; the rest is cut off.
+          about: the header of a new journal, with `settings` and `identity`; None: continue.
+          keep: number of bytes of the old journal that could be read; the rest is cut off.
 
         Raises:
-          BadInput: the file cannot be written, or, for a new one, is there.
+          BadInput: the file cannot be written, or exists although it should be new.
         """
         self.path = path
         if about is not None:
@@ -281,7 +283,7 @@ class Journal:
             if exists:
                 raise BadInput(f"{path}: exists; expected a new folder, or --resume")
             head = json.dumps({"what": _KIND, "format": FORMAT, **about}) + "\n"
-            write_atomically(path, head.encode())  # never a part of it: who would read that?
+            write_atomically(path, head.encode())  # a part of a header could not be read
             keep = len(head.encode())
         with self._writing():
             self._file: io.BufferedIOBase = path.open("r+b")
@@ -296,7 +298,7 @@ class Journal:
             os.fsync(self._file.fileno())
 
     def append(self, events: Sequence[Event]) -> None:
-        """Write events; they are on the disk when this returns.
+        """Write events to the disk before this returns.
 
         Raises:
           BadInput: they could not be written.

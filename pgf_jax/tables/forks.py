@@ -1,20 +1,9 @@
-"""Forks: the same robot state carried on with help and without, under several keys.
+"""Forks: robot states continued with help and without help, under several noise keys.
 
-What a robot would gain from help is never seen in a run, which has one future. `forks.parquet`
-holds, for each state and each key, the future without help and the one with the operator's input,
-both `rows.LOOK_AHEAD` reach iterations on, under the same keys (common random numbers):
-
-| column | type | meaning |
-|---|---|---|
-| scene, seed, class | String, Int64, String | as in `runs.parquet` |
-| iteration | Int64 | reach iterations before the fork |
-| input | String | what the operator said: `push` or `go_on` |
-| key | Int64 | 0, 1, ...: number of the noise |
-| alone, helped | Float64 | c_d + c_f + c_b of the best trajectory at the end of each future |
-| alone_solved, helped_solved | Boolean | whether it is feasible |
-| alone_iterations, helped_iterations | Int64 | taken, those of the push and iteration 0s included |
-| pushed | Boolean | the push was found (not dropped) |
-| one for each of `state.STATE` | Float64 | the state that was forked; the same under all its keys |
+A run has only one future, so it does not show what a robot would gain from help. `forks.parquet`
+holds, for each state and each key, the future without help and the future with the operator's
+input, both `LOOK_AHEAD` reach iterations long, under the same keys (common random numbers).
+`FORK_COLUMNS` has the columns.
 
 The true gain of a state is the mean of `alone` - `helped` over its keys.
 """
@@ -28,42 +17,47 @@ import numpy as np
 import polars as pl
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance.predictors.features import STATE
+from pgf_jax.guidance.predictors.features import STATE, STATE_MEANINGS
 from pgf_jax.tables.parquet import check_columns, read_table, write_table
+from pgf_jax.tables.runs import RUN_COLUMNS
 
-FORK_SCHEMA: dict[str, pl.DataType] = {
-    "scene": pl.String(),
-    "seed": pl.Int64(),
-    "class": pl.String(),
-    "iteration": pl.Int64(),
-    "input": pl.String(),
-    "key": pl.Int64(),
-    "alone": pl.Float64(),
-    "helped": pl.Float64(),
-    "alone_solved": pl.Boolean(),
-    "helped_solved": pl.Boolean(),
-    "alone_iterations": pl.Int64(),
-    "helped_iterations": pl.Int64(),
-    "pushed": pl.Boolean(),
-    **{f"state:{name}": pl.Float64() for name in STATE},
+# Column -> its type, and what it means.
+FORK_COLUMNS: dict[str, tuple[pl.DataType, str]] = {
+    **{name: RUN_COLUMNS[name] for name in ("scene", "seed", "class")},
+    "iteration": (pl.Int64(), "reach iterations before the fork"),
+    "input": (pl.String(), "what the operator said: `push` or `go_on`"),
+    "key": (pl.Int64(), "0, 1, ...: number of the noise"),
+    "alone": (pl.Float64(), "c_d + c_f + c_b of the best trajectory at the end, without help"),
+    "helped": (pl.Float64(), "c_d + c_f + c_b of the best trajectory at the end, with help"),
+    "alone_solved": (pl.Boolean(), "the future without help ends feasible"),
+    "helped_solved": (pl.Boolean(), "the future with help ends feasible"),
+    "alone_iterations": (
+        pl.Int64(),
+        "iterations of the future without help, iteration 0s included",
+    ),
+    "helped_iterations": (
+        pl.Int64(),
+        "iterations of the future with help, those of the push and iteration 0s included",
+    ),
+    "pushed": (pl.Boolean(), "the push was found, not dropped"),
+    **{f"state:{name}": (pl.Float64(), text) for name, text in STATE_MEANINGS.items()},
 }
-
-
-FORK = ("scene", "seed")  # names a state: there is one of each scene
+FORK_SCHEMA = {name: dtype for name, (dtype, _) in FORK_COLUMNS.items()}
+FORK = ("scene", "seed")  # identifies a state: a scene has one
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Forks:
-    """States with their futures; F states under K keys.
+    """The futures of F states under K keys, as arrays.
 
     Attributes:
-      scene: [F] str.
-      scene_class: [F] str.
-      iteration: [F] int64.
+      scene: [F] str, name of the scene.
+      scene_class: [F] str, class of the scene.
+      iteration: [F] int64, reach iterations before the fork.
       push: [F] bool, the operator gave a push.
-      state: [F, S] float64, in the order of `state.STATE`.
+      state: [F, S] float64, in the order of `features.STATE`.
       alone: [F, K] cost without help.
-      helped: [F, K] cost with it.
+      helped: [F, K] cost with help.
     """
 
     scene: np.ndarray
@@ -76,12 +70,12 @@ class Forks:
 
     @property
     def gain(self) -> np.ndarray:
-        """[F] true gains: means over the keys."""
+        """[F] true gains: the means over the keys."""
         with np.errstate(over="ignore", invalid="ignore"):  # costs near the largest float
             return (self.alone - self.helped).mean(axis=1)
 
     def take(self, index: np.ndarray) -> "Forks":
-        """Some of the states."""
+        """The states at the given indices."""
         fields = {f.name: getattr(self, f.name)[index] for f in dataclasses.fields(self)}
         return Forks(**fields)
 
@@ -89,7 +83,7 @@ class Forks:
 def write_forks(
     path: Path | str, frames: Iterable[pl.DataFrame], about: Mapping[str, Any] | None = None
 ) -> None:
-    """Write forks as one file, ordered by scene, seed and key; BadInput where they are not ones."""
+    """Write forks as one file, ordered by scene, seed and key; BadInput if they are not valid."""
     write_table(path, check_forks(pl.concat(frames), str(path)), about)
 
 
@@ -98,13 +92,13 @@ def read_forks(path: Path | str) -> pl.DataFrame:
 
     Raises:
       BadInput: the file is missing, not a whole Parquet file, lacks a column, or holds something
-        that is not a fork.
+        that is not a valid fork.
     """
     return check_forks(read_table(path, FORK_SCHEMA, "forks"), str(path))
 
 
 def check_forks(frame: pl.DataFrame, name: str) -> pl.DataFrame:
-    """The forks in canonical order and columns, or BadInput with `name` in the message."""
+    """The forks in canonical order and columns; BadInput with `name` if they are not valid."""
     frame = check_columns(frame, FORK_SCHEMA, name).sort([*FORK, "key"], maintain_order=True)
     same = [
         pl.col(c).n_unique().over(*FORK) > 1
@@ -126,9 +120,9 @@ def check_forks(frame: pl.DataFrame, name: str) -> pl.DataFrame:
 
 
 def forks_of(frame: pl.DataFrame, name: str = "forks") -> Forks:
-    """Arrays of a table as `read_forks` returns it.
+    """The arrays of a table that `read_forks` returned.
 
-    A state is left out where a future of it blew up, or its description is not finite.
+    A state is left out where a cost of its futures or a feature of the state is not finite.
 
     Raises:
       BadInput: states have different numbers of keys, or none is finite.

@@ -1,4 +1,4 @@
-"""Tables on disk: Parquet with fixed columns, written whole or not at all."""
+"""Reading and writing of Parquet tables with fixed columns, whole or not at all."""
 
 import io
 import json
@@ -12,19 +12,17 @@ from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, parse_json, read_file, write_atomically
 from pgf_jax.tables.decoder import Undecodable, decode
 
-PROVENANCE = "pgf_jax"  # key of the settings in a file's metadata
-
-
-LARGEST = 512 * MIB  # of a table's file; a sweep of 1000 robots takes some 100
+PROVENANCE = "pgf_jax"  # key of the provenance in a file's metadata
+LARGEST = 512 * MIB  # largest size of a table's file; a sweep of 1000 robots takes about 100
 
 
 def write_table(path: Path | str, frame: pl.DataFrame, about: Mapping[str, Any] | None) -> None:
-    """Write a table; the same one gives the same bytes.
+    """Write a table; the same table gives the same bytes.
 
     Args:
       path: the file.
-      frame: what to write.
-      about: where it comes from, kept as JSON in the file's metadata; None: nothing.
+      frame: the table.
+      about: its provenance, stored as JSON in the file's metadata; None: nothing.
 
     Raises:
       BadInput: it cannot be written there.
@@ -33,7 +31,7 @@ def write_table(path: Path | str, frame: pl.DataFrame, about: Mapping[str, Any] 
 
 
 def encode_table(frame: pl.DataFrame, about: Mapping[str, Any] | None = None) -> bytes:
-    """The file that `write_table` writes."""
+    """The bytes of the file that `write_table` writes."""
     buffer = io.BytesIO()
     metadata = None if about is None else {PROVENANCE: json.dumps(about, sort_keys=True)}
     frame.write_parquet(buffer, metadata=metadata)
@@ -45,8 +43,8 @@ def read_table(path: Path | str, schema: Mapping[str, pl.DataType], what: str) -
 
     Args:
       path: the file.
-      schema: its columns; none may be null. Others are left out.
-      what: it should hold, for the message.
+      schema: its columns; none may have nulls. Other columns are left out.
+      what: what the file should hold, for the message.
 
     Raises:
       BadInput: the file is missing, not a whole Parquet file, empty, or lacks a column.
@@ -56,7 +54,7 @@ def read_table(path: Path | str, schema: Mapping[str, pl.DataType], what: str) -
 
 
 def decode_table(data: bytes, path: Path | str) -> tuple[pl.DataFrame, dict[str, str]]:
-    """The table of a file's bytes and its metadata.
+    """The table in the bytes of a Parquet file, and the file's metadata.
 
     Raises:
       BadInput: one line that names the file: truncated, corrupt, or no Parquet file at all.
@@ -70,17 +68,17 @@ def decode_table(data: bytes, path: Path | str) -> tuple[pl.DataFrame, dict[str,
 
 
 def read_provenance(path: Path | str) -> dict[str, Any]:
-    """What `write_table` was told of a table's origin.
+    """Read a table's provenance: the `about` of `write_table`.
 
     Raises:
-      BadInput: the file does not say.
+      BadInput: the file has none, or cannot be read.
     """
     data = read_file(path, "a table (Parquet)", LARGEST)
     return provenance(decode_table(data, path)[1], path)
 
 
 def provenance(metadata: Mapping[str, str], path: Path | str) -> dict[str, Any]:
-    """`read_provenance` of metadata as `decode_table` returns it."""
+    """The provenance in the metadata that `decode_table` returns; see `read_provenance`."""
     try:
         about = parse_json(metadata.get(PROVENANCE, ""))
     except ValueError:
@@ -93,7 +91,7 @@ def provenance(metadata: Mapping[str, str], path: Path | str) -> dict[str, Any]:
 def check_columns(
     frame: pl.DataFrame, schema: Mapping[str, pl.DataType], name: str
 ) -> pl.DataFrame:
-    """The columns of `schema`, or BadInput with `name` in the message."""
+    """The columns of `schema`; BadInput with `name` in the message if they are not as it says."""
     for column, dtype in schema.items():
         if column not in frame.columns:
             raise BadInput(f"{name}: column {column} is missing, expected {', '.join(schema)}")

@@ -1,16 +1,15 @@
-"""Results of a sweep: `tasks.parquet`, `events.parquet`, `summary.csv`, `paired.csv`.
+"""Tables of tasks and events of fleets: `tasks.parquet` and `events.parquet`.
 
-A cell's tables (`cells.py`) hold one row for each `TaskRecord` (by robot and task) and each `Event`
-(as they happened); the merged files hold those of all cells, with the columns `policy` and `robots`
-before them. What does not apply is null. Nothing in them depends on how fast the computer was.
+A fleet's tables hold one row for each `TaskRecord` (by robot and task) and one for each `Event` (in
+the order of the log). The merged tables of a sweep hold the rows of all cells, with the columns
+`policy` and `robots` first. A value that does not apply is null. Nothing in them depends on the
+speed of the computer.
 """
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
@@ -18,17 +17,11 @@ from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import read_file
 from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.events import Event, EventKind
-from pgf_jax.fleet.metrics import paired_difference
 from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.planning.types import Status
-from pgf_jax.sweeping.summary import PAIRED, Paired
-from pgf_jax.tables.parquet import LARGEST, decode_table, encode_table
+from pgf_jax.tables.parquet import LARGEST, decode_table
 
-_COLUMNS = {int: pl.Int64(), float: pl.Float64(), str: pl.String()}
-
-
-_CELL_COLUMNS: dict[str, pl.DataType] = {"policy": pl.String(), "robots": pl.Int64()}
-
+# -- columns -----------------------------------------------------------------------------------
 
 EVENT_SCHEMA: dict[str, pl.DataType] = {
     "time_ns": pl.Int64(),
@@ -45,8 +38,8 @@ EVENT_SCHEMA: dict[str, pl.DataType] = {
     "outcome": pl.String(),
 }
 
-
-# The fields of a TaskRecord, its scene after its task and its terms by name.
+_TYPES = {int: pl.Int64(), float: pl.Float64(), str: pl.String()}
+# Fields of `TaskRecord` of other types; `scene` is a column beside them, after `task`.
 _OTHER_TYPES: dict[str, dict[str, pl.DataType]] = {
     "task": {"task": pl.Int64(), "scene": pl.String()},
     "status": {"status": pl.String()},
@@ -59,33 +52,22 @@ _OTHER_TYPES: dict[str, dict[str, pl.DataType]] = {
     "non_finite_at": {"non_finite_at": pl.List(pl.Int64())},
     "terms": {"c_d": pl.Float64(), "c_f": pl.Float64(), "c_b": pl.Float64()},
 }
-
-
 TASK_SCHEMA: dict[str, pl.DataType] = {
     column: dtype
     for field in dataclasses.fields(TaskRecord)
     for column, dtype in (
-        _OTHER_TYPES.get(field.name) or {field.name: _COLUMNS[field.type]}  # pyright: ignore[reportArgumentType]
+        _OTHER_TYPES.get(field.name) or {field.name: _TYPES[field.type]}  # pyright: ignore[reportArgumentType]
     ).items()
 }
 
-
+_CELL_COLUMNS: dict[str, pl.DataType] = {"policy": pl.String(), "robots": pl.Int64()}
 MERGED_TASK_SCHEMA = _CELL_COLUMNS | TASK_SCHEMA
-
-
 MERGED_EVENT_SCHEMA = _CELL_COLUMNS | EVENT_SCHEMA
 
-
 _TERMS = ("c_d", "c_f", "c_b")
-
-
-_COUNTS = ("grants_at", "successful_grants_at", "non_finite_at")
-
-
-_COSTS = ("asked_cost", "helped_cost")
-
-
-_OPTIONAL = {"first_bid", "first_grant", "cost", *_TERMS}
+_COUNTS = ("grants_at", "successful_grants_at", "non_finite_at")  # lists of whole numbers
+_COSTS = ("asked_cost", "helped_cost")  # lists of numbers, of which some may be null
+_OPTIONAL = {"first_bid", "first_grant", "cost", *_TERMS}  # columns of tasks that may be null
 
 
 # -- rows --------------------------------------------------------------------------------------
@@ -94,10 +76,10 @@ _OPTIONAL = {"first_bid", "first_grant", "cost", *_TERMS}
 def tasks_frame(
     records: Iterable[TaskRecord], scene_name: Callable[[int, int], str]
 ) -> pl.DataFrame:
-    """Task records as a table, by robot and task.
+    """Make a table of task records, by robot and task.
 
     Args:
-      records: of one fleet, in any order.
+      records: the records of one fleet, in any order.
       scene_name: (robot, task) -> name of the scene.
     """
     rows = []
@@ -112,7 +94,7 @@ def tasks_frame(
 
 
 def task_records(tasks: pl.DataFrame) -> list[TaskRecord]:
-    """The records that `tasks_frame` made a table of."""
+    """The task records of a table that `tasks_frame` made."""
     records = []
     for row in tasks.select(list(TASK_SCHEMA)).drop("scene").iter_rows(named=True):
         terms = [row.pop(name) for name in _TERMS]
@@ -126,7 +108,7 @@ def task_records(tasks: pl.DataFrame) -> list[TaskRecord]:
 
 
 def events_frame(events: Iterable[Event]) -> pl.DataFrame:
-    """An event log as a table, in its order; a gain that is not known yet (nan) is null."""
+    """Make a table of an event log, in its order; a gain that is not known yet (nan) is null."""
     rows = [
         (*event[:1], event.kind.value, *event[2:7], _null(event.gain), *event[8:11], _text(event))
         for event in events
@@ -135,13 +117,13 @@ def events_frame(events: Iterable[Event]) -> pl.DataFrame:
 
 
 def event_log(events: pl.DataFrame) -> list[Event]:
-    """The events that `events_frame` made a table of; an unknown gain is None."""
+    """The events of a table that `events_frame` made; an unknown gain is None."""
     rows = events.select(list(EVENT_SCHEMA)).iter_rows()
     return [Event(time_ns, EventKind(kind), *rest) for time_ns, kind, *rest in rows]
 
 
 def merge(frames: Sequence[tuple[Cell, pl.DataFrame]]) -> pl.DataFrame:
-    """One table of all cells, the cell's columns first."""
+    """Join the tables of all cells into one, with the columns `policy` and `robots` first."""
     return pl.concat(
         frame.select(
             pl.lit(cell.policy, pl.String()).alias("policy"),
@@ -168,28 +150,7 @@ def _text(event: Event) -> str | None:
     return None if event.outcome is None else str(event.outcome)  # a Status becomes its value
 
 
-def paired_differences(records: Mapping[Cell, Sequence[TaskRecord]]) -> list[Paired]:
-    """Paired differences of every two policies at every fleet size, the earlier minus the later."""
-    return [
-        Paired(
-            ours.robots,
-            ours.policy,
-            theirs.policy,
-            name,
-            paired_difference(records[ours], records[theirs], value),
-        )
-        for ours, theirs in itertools.combinations(records, 2)
-        if ours.robots == theirs.robots
-        for name, value in PAIRED.items()
-    ]
-
-
 # -- files -------------------------------------------------------------------------------------
-
-
-def parquet(frame: pl.DataFrame, about: Mapping[str, Any] | None = None) -> bytes:
-    """A Parquet file, with where it comes from; the same table gives the same bytes."""
-    return encode_table(frame, about)
 
 
 def read_results(path: Path | str, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
@@ -197,20 +158,16 @@ def read_results(path: Path | str, schema: Mapping[str, pl.DataType]) -> pl.Data
 
     Args:
       path: the file.
-      schema: what it should hold: `MERGED_TASK_SCHEMA`, `EVENT_SCHEMA` ...
+      schema: its columns: `MERGED_TASK_SCHEMA`, `EVENT_SCHEMA` ...
 
     Returns:
       The table with the schema's columns, in its order.
 
     Raises:
-      BadInput: one line that names the file: missing, truncated, corrupt, or of other columns.
+      BadInput: one line that names the file: missing, truncated, corrupt, or with other columns.
     """
     path = Path(path)
-    return _decode(_read(path, LARGEST), path, schema)
-
-
-def _read(path: Path, most: int) -> bytes:
-    return read_file(path, "results of a sweep", most)
+    return _decode(read_file(path, "results of a sweep", LARGEST), path, schema)
 
 
 def _decode(data: bytes, path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
@@ -218,17 +175,20 @@ def _decode(data: bytes, path: Path, schema: Mapping[str, pl.DataType]) -> pl.Da
 
 
 def conform(frame: pl.DataFrame, path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
-    """The schema's columns of a table, in its order.
+    """Check a table's columns and values.
+
+    Returns:
+      The table with the schema's columns, in its order.
 
     Raises:
-      BadInput: one line that names the file, and the column: not there, of another type, or with
-        what does not make a row.
+      BadInput: one line that names the file and the column: missing, of another type, or with a
+        value that no row may have.
     """
     for column, dtype in schema.items():
         if frame.schema.get(column) != dtype:
             found = frame.schema.get(column, "nothing")
             raise BadInput(f"{path}: column {column} must be {dtype}, got {found}")
-    # A record has no place for a null but in these; an event has, but in its time and kind.
+    # In a table of tasks only `_OPTIONAL` columns may be null; in one of events all but these.
     needed = ("time_ns", "kind", *_CELL_COLUMNS) if "kind" in schema else set(schema) - _OPTIONAL
     for column in schema:
         nulls = frame[column].null_count()

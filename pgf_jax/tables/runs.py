@@ -1,27 +1,14 @@
-"""Collected runs, written down and on disk: what the predictors are trained on.
+"""Collected runs: the training data of the predictors.
 
-A *run* is one scene planned once: `runs.parquet` holds one row for each iteration of each run,
-`DIR/autonomous/runs.parquet` of runs without help and `DIR/human/runs.parquet` of runs with it.
-The columns, none of which may be null:
+A *run* is one scene planned once. `runs.parquet` holds one row for each iteration of each run: of
+runs without help in `DIR/autonomous/runs.parquet`, of runs with help in `DIR/human/runs.parquet`.
+`RUN_COLUMNS` has the columns, none of which may be null.
 
-| column | type | meaning |
-|---|---|---|
-| scene | String | the scene's name; what the 80/20 split keeps together |
-| seed | Int64 | the planner's seed; (scene, seed) names a run |
-| class | String | the scene's class: tight, medium, wide, or what the collector calls it |
-| n_objects | Int64 | N, the same in all of a run |
-| segment | Int64 | 0, 1, ... over the run: the first reach, a push, the reach after it, ... |
-| kind | String | `reach` or `push`, the same in all of a segment |
-| iteration | Int64 | 0, 1, ... over the run, iteration 0 of every segment included |
-| c_d, c_f, c_b | Float64 | terms of the best trajectory so far; in a push, c_d holds c_h |
-| feasible | Boolean | the best trajectory so far is feasible; in a reach: the run is solved |
-| asked_before | Boolean | human input was given right before this iteration |
-
-The first row of a segment is its iteration 0, the nominal's rollout. The three kinds of human
-input can be told apart by what follows `asked_before`: a push segment that ends feasible, one that
-does not (dropped), or the same reach segment continued (go on reaching). Input that no iteration
-followed, because the time was up, had no effect and leaves no mark. Terms that are not finite are
-allowed (a rollout that blew up is data); rows that would need them are skipped and counted.
+The first row of a segment is its iteration 0, the nominal's rollout. The rows after `asked_before`
+show the human input: a push segment that ends feasible, a push segment that does not (the push was
+dropped), or the same reach segment (go on reaching). Input that no iteration followed, because the
+time was up, is not in the table. Terms that are not finite are allowed, because a rollout may
+diverge; training rows that would need them are skipped and counted.
 """
 
 import enum
@@ -34,25 +21,27 @@ import polars as pl
 from pgf_jax.errors import BadInput
 from pgf_jax.tables.parquet import check_columns, read_table, write_table
 
-RUN_SCHEMA: dict[str, pl.DataType] = {
-    "scene": pl.String(),
-    "seed": pl.Int64(),
-    "class": pl.String(),
-    "n_objects": pl.Int64(),
-    "segment": pl.Int64(),
-    "kind": pl.String(),
-    "iteration": pl.Int64(),
-    "c_d": pl.Float64(),
-    "c_f": pl.Float64(),
-    "c_b": pl.Float64(),
-    "feasible": pl.Boolean(),
-    "asked_before": pl.Boolean(),
+# Column -> its type, and what it means.
+RUN_COLUMNS: dict[str, tuple[pl.DataType, str]] = {
+    "scene": (pl.String(), "the scene's name; the 80/20 split keeps its rows together"),
+    "seed": (pl.Int64(), "the planner's seed; (scene, seed) identifies a run"),
+    "class": (pl.String(), "the scene's class: tight, medium, wide, or as the collector calls it"),
+    "n_objects": (pl.Int64(), "N, the same in all of a run"),
+    "segment": (pl.Int64(), "0, 1, ... over the run: first reach, a push, the reach after it, ..."),
+    "kind": (pl.String(), "`reach` or `push`, the same in all of a segment"),
+    "iteration": (pl.Int64(), "0, 1, ... over the run, iteration 0 of every segment included"),
+    "c_d": (pl.Float64(), "reach term of the best trajectory so far; in a push, c_h"),
+    "c_f": (pl.Float64(), "force term of the best trajectory so far"),
+    "c_b": (pl.Float64(), "blocking term of the best trajectory so far"),
+    "feasible": (pl.Boolean(), "that trajectory is feasible; in a reach: the run is solved"),
+    "asked_before": (pl.Boolean(), "human input was given right before this iteration"),
 }
-RUN = ("scene", "seed")  # names a run
+RUN_SCHEMA = {name: dtype for name, (dtype, _) in RUN_COLUMNS.items()}
+RUN = ("scene", "seed")  # identifies a run
 
 
 class Mode(enum.StrEnum):
-    """What was collected."""
+    """The kind of collected data."""
 
     AUTONOMOUS = "autonomous"
     HUMAN = "human"
@@ -60,13 +49,13 @@ class Mode(enum.StrEnum):
 
 
 def runs_path(data_dir: Path | str, mode: Mode) -> Path:
-    """Where the runs of this mode, or the forks, lie in a folder of collected data."""
+    """Path of the runs of this mode, or of the forks, in a folder of collected data."""
     name = "forks.parquet" if mode == Mode.FORKS else "runs.parquet"
     return Path(data_dir) / mode / name
 
 
 class RunLog:
-    """One run, written down iteration by iteration.
+    """Records one run, iteration by iteration.
 
     Call `begin_segment` before each segment's iteration 0, `add` at the end of each iteration, and
     `input_given` when human input arrives: before `begin_segment("push")` where it is a push,
@@ -81,22 +70,22 @@ class RunLog:
         self._rows: list[dict[str, object]] = []
 
     def begin_segment(self, kind: str) -> None:
-        """The next iteration is iteration 0 of a new segment, a `reach` or a `push`."""
+        """Begin a segment, a `reach` or a `push`; the next iteration is its iteration 0."""
         if kind not in ("reach", "push"):
             raise BadInput(f"a segment is a reach or a push, got {kind!r}")
         self._segment += 1
         self._kind = kind
 
     def input_given(self) -> None:
-        """Human input was given now, before the next iteration."""
+        """Record that human input is given now, before the next iteration."""
         self._asked = True
 
     def add(self, terms: Sequence[float], *, feasible: bool) -> None:
-        """An iteration has ended.
+        """Record an iteration that has ended.
 
         Args:
           terms: (c_d, c_f, c_b) of the best trajectory so far; in a push (c_h, c_f, c_b).
-          feasible: that trajectory is feasible.
+          feasible: whether that trajectory is feasible.
         """
         if self._segment < 0:
             raise RuntimeError("begin_segment comes before the first iteration")
@@ -117,7 +106,7 @@ class RunLog:
         self._asked = False
 
     def frame(self) -> pl.DataFrame:
-        """The run so far, one row an iteration, in the columns of `runs.parquet`."""
+        """The run so far as a table, in the columns of `runs.parquet`."""
         return pl.DataFrame(self._rows, schema=RUN_SCHEMA)
 
 
@@ -129,7 +118,7 @@ def write_runs(
     Args:
       path: the file.
       frames: the runs.
-      about: where they come from, for the file's metadata.
+      about: their provenance, for the file's metadata.
 
     Raises:
       BadInput: the frames are not valid runs, or the file cannot be written.
@@ -146,14 +135,14 @@ def read_runs(path: Path | str, *, mode: Mode | None = None) -> pl.DataFrame:
 
     Args:
       path: the file.
-      mode: what it should hold; `autonomous` refuses runs with human input.
+      mode: the expected kind; `autonomous` refuses runs with human input.
 
     Returns:
-      The runs, ordered by scene, seed and iteration; columns that are not ours are left out.
+      The runs, ordered by scene, seed and iteration; unknown columns are left out.
 
     Raises:
       BadInput: the file is missing, not a whole Parquet file, empty, lacks a column, or holds
-        something that is not a run.
+        rows that are not a valid run.
     """
     frame = read_table(path, RUN_SCHEMA, "collected runs")
     frame = check_runs(frame, str(path))
@@ -163,7 +152,7 @@ def read_runs(path: Path | str, *, mode: Mode | None = None) -> pl.DataFrame:
 
 
 def check_runs(frame: pl.DataFrame, name: str) -> pl.DataFrame:
-    """The frame's runs in canonical order and columns, or BadInput with `name` in the message."""
+    """The runs in canonical order and columns; BadInput with `name` if they are not valid."""
     frame = check_columns(frame, RUN_SCHEMA, name)
     frame = frame.sort([*RUN, "iteration"], maintain_order=True)
 
@@ -199,7 +188,7 @@ def check_runs(frame: pl.DataFrame, name: str) -> pl.DataFrame:
 
 
 def check_unhelped(frame: pl.DataFrame, name: str) -> None:
-    """Raise BadInput, with `name` in the message, where a run has human input in it."""
+    """Raise BadInput, with `name` in the message, if a run has human input."""
     helped = frame.filter(pl.col("asked_before") | (pl.col("kind") == "push"))
     if len(helped):
         raise BadInput(

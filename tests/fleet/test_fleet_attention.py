@@ -1,4 +1,4 @@
-"""Metrics of attention, and the costs before and after help they rest on, worked out by hand."""
+"""Metrics of attention, and the costs before and after help, worked out by hand."""
 
 import dataclasses
 import math
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from test_fleet_properties import CONFIGS, noisy_robots
 
 from pgf_jax.fleet import EventKind, Fleet, FleetConfig, IterationResult
-from pgf_jax.fleet.attention import attention, jain, waits_s
+from pgf_jax.fleet.attention import attention, jain_index, waits_s
 from pgf_jax.fleet.metrics import rate_interval, summarise
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
 from pgf_jax.planning.types import LOOK_AHEAD
@@ -278,7 +278,7 @@ def test_attention_agrees_with_the_summary(config, seed):
 
 
 def test_jain():
-    assert jain([3, 3, 3]) == 1.0
-    assert jain([5, 0, 0, 0]) == 0.25
-    assert jain([1, 2, 3]) == 36 / (3 * 14)
-    assert math.isnan(jain([0, 0])) and math.isnan(jain([]))
+    assert jain_index([3, 3, 3]) == 1.0
+    assert jain_index([5, 0, 0, 0]) == 0.25
+    assert jain_index([1, 2, 3]) == 36 / (3 * 14)
+    assert math.isnan(jain_index([0, 0])) and math.isnan(jain_index([]))

@@ -1,4 +1,4 @@
-"""Sample-path identities: that they hold, what their sides are, and that errors do not escape."""
+"""Sample-path identities: they hold, their sides are right, and errors are found."""
 
 import dataclasses
 
@@ -10,13 +10,13 @@ from test_fleet_properties import CONFIGS, simulate
 
 from pgf_jax.fleet import EventKind, FleetConfig
 from pgf_jax.fleet.event_calendar import nanoseconds
-from pgf_jax.fleet.identities import check_identities, verify
+from pgf_jax.fleet.identities import identity_sides, verify
 
 S = 10**9
 
 
 def failing(config, records, events) -> set[str]:
-    sides = check_identities(config, records, events)
+    sides = identity_sides(config, records, events)
     return {name for name, (left, right) in sides.items() if left != right}
 
 
@@ -48,7 +48,7 @@ def line():
 
 
 def test_sides_with_windows_by_hand(windows):
-    got = check_identities(windows.config, windows.records, windows.events)
+    got = identity_sides(windows.config, windows.records, windows.events)
     wait, service = 2 + 2 + 0.5, 8
     assert got == {
         "asks = answered + refused + expired + cut off, of events": (3, 1 + 1 + 0 + 1),
@@ -88,7 +88,7 @@ def test_sides_with_windows_by_hand(windows):
 
 
 def test_sides_with_a_line_by_hand(line):
-    got = check_identities(line.config, line.records, line.events)
+    got = identity_sides(line.config, line.records, line.events)
     wait, service = 8 + 11.5, 8 + 3.5
     assert got["asks, of events and of records"] == (3, 3)
     assert got["expired, of events and of records"] == (2, 2)
@@ -105,7 +105,7 @@ def test_sides_with_a_line_by_hand(line):
 
 def test_a_window_that_closes_at_the_horizon_is_not_cut_off():
     fleet, _ = run({0: "5 5", 1: "9 9"}, robots=2, horizon_s=3.5)
-    got = check_identities(fleet.config, fleet.records, fleet.events)
+    got = identity_sides(fleet.config, fleet.records, fleet.events)
     assert got["windows opened = closed + cut off"] == (1, 1)
     assert got["bids in windows at their close = winners + losers"] == (2, 2)
     assert got["asks cut off, of events and of records"] == (1, 1)  # the winner's, at once
@@ -114,13 +114,13 @@ def test_a_window_that_closes_at_the_horizon_is_not_cut_off():
 
 def test_a_fleet_that_asks_nothing():
     fleet, _ = run({0: ". f"}, tasks=2, policy="autonomous")
-    got = check_identities(fleet.config, fleet.records, fleet.events)
+    got = identity_sides(fleet.config, fleet.records, fleet.events)
     assert got["integral of the number waiting = waiting of records"] == (0, 0)
     assert got["time of robot 0's tasks = its makespan"] == (18 * S, 18 * S)
     assert verify(fleet.config, fleet.records, fleet.events) == 18 + 3 + 2 * 2
 
 
-# -- what is wrong shows -----------------------------------------------------------------------
+# -- errors are found --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -212,7 +212,7 @@ def test_an_altered_record_shows_where_it_should(windows, field, names):
 
 
 def altered(record, field):
-    """By one: a count, or a nanosecond."""
+    """Change a count by 1, or a time by 1 ns."""
     value = getattr(record, field)
     value = (nanoseconds(value) + 1) / 1e9 if isinstance(value, float) else value + 1
     return dataclasses.replace(record, **{field: value})

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Event, EventKind, Fleet, FleetConfig
-from pgf_jax.fleet.allocator import AskOutcome, FifoQueue, LossSystem, Window
+from pgf_jax.fleet.allocator import AskOutcome, BidWindow, FifoQueue, LossSystem
 from pgf_jax.fleet.compute import Dedicated, Shared, parse_compute
 from pgf_jax.fleet.metrics import (
     busy_ns,
@@ -23,7 +23,7 @@ from pgf_jax.fleet.metrics import (
     window_sizes,
 )
 from pgf_jax.fleet.operator_pool import OperatorPool
-from pgf_jax.fleet.policies import Discipline, Silent, check_policy, register_policy
+from pgf_jax.fleet.policies import Discipline, PolicyBase, check_policy, register_policy
 from pgf_jax.fleet.service import LogNormal
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
 from pgf_jax.streams import stream
@@ -67,13 +67,13 @@ def test_bad_configuration_is_refused_in_one_line(field, value):
     with pytest.raises(BadInput) as error:
         FleetConfig(**{field: value})
     message = str(error.value)
-    assert message.startswith(field)
+    assert message.startswith(f"{field}: expected ")
     assert repr(value) in message
     assert "\n" not in message
 
 
 def test_spread_without_a_mean_is_refused():
-    with pytest.raises(BadInput, match="service_sd_s must be 0"):
+    with pytest.raises(BadInput, match="service_sd_s: expected 0 with service_mean_s 0"):
         FleetConfig(service_mean_s=0.0)
     FleetConfig(service_mean_s=0.0, service_sd_s=0.0)
 
@@ -87,7 +87,7 @@ def test_compute_models():
 
 
 def test_a_policy_of_ones_own():
-    class AfterTwo(Silent):
+    class AfterTwo(PolicyBase):
         discipline = Discipline.LINE
 
         def bid(self, result, progress):
@@ -106,7 +106,7 @@ def test_a_policy_of_ones_own():
 def test_progress_tells_the_time_that_remains():
     seen = []
 
-    class Watch(Silent):
+    class Watch(PolicyBase):
         discipline = Discipline.LINE
 
         def bid(self, result, progress):
@@ -186,10 +186,10 @@ BIDS = st.dictionaries(
 @given(bids=BIDS, free=st.integers(1, 4), seed=st.integers(0, 20), order=st.randoms())
 def test_windows_give_the_free_operators_to_the_highest_bids(bids, free, seed, order):
     def close(robots: list[int]) -> tuple[list[int], list[int]]:
-        window = Window(seed=seed, robots=10)
+        window = BidWindow(seed=seed, robots=10)
         replies = [window.ask(robot, bids[robot], free=free) for robot in robots]
-        assert replies == [AskOutcome.OPENS] + [AskOutcome.WAITS] * (len(robots) - 1)
-        return window.close(free=free)
+        assert replies == [AskOutcome.OPENS_WINDOW] + [AskOutcome.WAITS] * (len(robots) - 1)
+        return window.close_window(free=free)
 
     robots = sorted(bids)
     winners, losers = close(robots)
@@ -206,13 +206,13 @@ def test_windows_give_the_free_operators_to_the_highest_bids(bids, free, seed, o
 
 
 def test_a_window_needs_a_free_operator_to_open_but_not_to_join():
-    window = Window(seed=0, robots=3)
+    window = BidWindow(seed=0, robots=3)
     assert window.ask(0, 1.0, free=0) is AskOutcome.IGNORED
-    assert window.ask(0, 1.0, free=1) is AskOutcome.OPENS
+    assert window.ask(0, 1.0, free=1) is AskOutcome.OPENS_WINDOW
     assert window.ask(1, 2.0, free=0) is AskOutcome.WAITS
     window.withdraw(1)
     assert window.match(free=1) == []
-    assert window.close(free=1) == ([0], [])
+    assert window.close_window(free=1) == ([0], [])
     with pytest.raises(ValueError, match="robot 2 bids nan"):
         window.ask(2, math.nan, free=1)
 

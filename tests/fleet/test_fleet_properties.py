@@ -1,4 +1,4 @@
-"""What must hold in every run: identities in integer ns, limits, and independence of batching."""
+"""Properties of every fleet: identities in integer ns, limits, independence of batching."""
 
 import collections
 import random

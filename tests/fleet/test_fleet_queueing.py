@@ -1,4 +1,4 @@
-"""The fleet against queueing theory (D9): stub robots whose every iteration ends in an ask.
+"""The fleet against queueing theory: stub robots whose every iteration ends in an ask.
 
 An iteration then is the time between asks: it is made exponential through the compute model, which
 is free to give every iteration a length of its own. Intervals are 99 %, so that a right simulation

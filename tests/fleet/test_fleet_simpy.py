@@ -28,7 +28,7 @@ def uniform(*key: int) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class World:
-    """Outcomes and durations of everything, by key: what both simulations are given."""
+    """Outcomes and durations by key, the inputs of both simulations."""
 
     seed: int
     p_feasible: float

@@ -1,4 +1,4 @@
-"""Services of unknown length, operators who come and go, and the clock that waits for them."""
+"""Open services, operators who come and leave, and simulated time that follows the wall clock."""
 
 import dataclasses
 import math
@@ -30,7 +30,7 @@ Given = Push | NoInput | None
 
 
 class Open:
-    """Nobody knows how long a service takes."""
+    """All services are open: their length is unknown."""
 
     def seconds(self, robot: int, task: int, request: int) -> float | None:
         return None
@@ -47,8 +47,8 @@ class OpenFor:
         return None if robot in self.robots else self.value
 
 
-class Desk:
-    """A fleet whose open services wait for the test; all other work is done at once."""
+class ManualFleet:
+    """A fleet whose open services the test answers; all other work is computed at once."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class Desk:
             assert pending or self.fleet.done
             self._take(pending)
 
-    def say(self, robot: int, given: Given) -> None:
+    def answer(self, robot: int, given: Given) -> None:
         self.fleet.deliver(self.asked.pop(robot), given)
 
     def log(self, *leave_out: str) -> list[str]:
@@ -106,42 +106,42 @@ class Desk:
     [(PUSH, "object=3 to=(0.4,0.1) push"), (None, "go_on"), (UNANSWERED, "unanswered")],
 )
 def test_an_input_ends_the_service_at_the_instant_after(given, said):
-    desk = Desk({0: "s f"}, policy="or-hitl")
-    desk.to(7.25)
-    desk.say(0, given)
+    manual = ManualFleet({0: "s f"}, policy="or-hitl")
+    manual.to(7.25)
+    manual.answer(0, given)
     # Nothing has happened yet, nor does it at an instant that had been advanced to.
-    assert desk.fleet.events[-1].kind is EventKind.GRANT
-    desk.to(7.25)
-    assert desk.fleet.events[-1].kind is EventKind.GRANT
-    desk.to(7.25 + 1e-9)
-    end = desk.fleet.events[-1]
+    assert manual.fleet.events[-1].kind is EventKind.GRANT
+    manual.to(7.25)
+    assert manual.fleet.events[-1].kind is EventKind.GRANT
+    manual.to(7.25 + 1e-9)
+    end = manual.fleet.events[-1]
     assert end.time_ns == nanoseconds(7.25) + 1
-    assert desk.log()[-1].endswith(f"service_end r0.0 q0 o0 {said}")
-    desk.end()
-    (record,) = desk.fleet.records
+    assert manual.log()[-1].endswith(f"service_end r0.0 q0 o0 {said}")
+    manual.end()
+    (record,) = manual.fleet.records
     assert record.interaction_s == (end.time_ns - nanoseconds(1.5)) / 1e9
     assert (record.answered, record.expired) == ((0, 1) if given is UNANSWERED else (1, 0))
-    assert desk.robots.calls[1:] == (
+    assert manual.robots.calls[1:] == (
         [("start_push", 0, PUSH)] if given is PUSH else [("go_on", 0, None)]
     )
-    desk.verify()
+    manual.verify()
 
 
 def test_an_input_is_taken_at_once_by_a_fleet_whose_clock_nobody_holds():
     # Without `until_ns` the fleet stands at the grant: nothing else can happen to it.
-    desk = Desk({0: "s f"}, policy="or-hitl", robots=1)
-    desk.to(1.5)
-    desk.say(0, None)
-    desk.end()
-    (record,) = desk.fleet.records
+    manual = ManualFleet({0: "s f"}, policy="or-hitl", robots=1)
+    manual.to(1.5)
+    manual.answer(0, None)
+    manual.end()
+    (record,) = manual.fleet.records
     assert record.interaction_s == 1e-9
 
 
 def test_a_service_lasts_to_the_limit_of_the_task_at_most():
-    desk = Desk({0: "s"}, policy="or-hitl", task_limit_s=10.0)
-    desk.to(3.0)
-    desk.to(10.0)
-    assert desk.log() == [
+    manual = ManualFleet({0: "s"}, policy="or-hitl", task_limit_s=10.0)
+    manual.to(3.0)
+    manual.to(10.0)
+    assert manual.log() == [
         "1.5 bid r0.0 q0 i0 gain=inf",
         "1.5 grant r0.0 q0 o0",
         "10 service_end r0.0 q0 o0 expired",
@@ -149,28 +149,28 @@ def test_a_service_lasts_to_the_limit_of_the_task_at_most():
     ]
     for too_late in (PUSH, None, UNANSWERED):
         with pytest.raises(ValueError, match="not outstanding"):
-            desk.fleet.deliver(desk.asked[0], too_late)
-    desk.end()
-    (record,) = desk.fleet.records
+            manual.fleet.deliver(manual.asked[0], too_late)
+    manual.end()
+    (record,) = manual.fleet.records
     assert (record.requests, record.grants, record.expired, record.answered) == (1, 1, 1, 0)
-    desk.verify()
+    manual.verify()
 
 
 def test_an_input_at_the_limit_is_in_time():
-    desk = Desk({0: "s"}, policy="or-hitl", task_limit_s=10.0)
-    desk.to(10.0 - 1e-9)
-    desk.say(0, None)
-    desk.to(10.0)
-    assert desk.log()[-2:] == ["10 service_end r0.0 q0 o0 go_on", "10 task_end r0.0 timed_out"]
+    manual = ManualFleet({0: "s"}, policy="or-hitl", task_limit_s=10.0)
+    manual.to(10.0 - 1e-9)
+    manual.answer(0, None)
+    manual.to(10.0)
+    assert manual.log()[-2:] == ["10 service_end r0.0 q0 o0 go_on", "10 task_end r0.0 timed_out"]
 
 
 def test_a_limit_that_passes_while_the_fleet_is_not_looked_at():
     # Granted and expired within one call: nobody is asked, there is nothing to hand in.
-    desk = Desk({0: "s"}, policy="always", task_limit_s=10.0)
-    assert desk.fleet.advance(60 * S) == []
-    assert desk.fleet.done
-    assert [event.outcome for event in desk.fleet.events][-2:] == ["expired", "timed_out"]
-    desk.verify()
+    manual = ManualFleet({0: "s"}, policy="always", task_limit_s=10.0)
+    assert manual.fleet.advance(60 * S) == []
+    assert manual.fleet.done
+    assert [event.outcome for event in manual.fleet.events][-2:] == ["expired", "timed_out"]
+    manual.verify()
 
 
 def test_an_input_that_counts_after_the_limit_is_too_late():
@@ -194,32 +194,32 @@ def test_an_input_that_counts_after_the_limit_is_too_late():
 
 
 def test_results_are_checked_as_ever():
-    desk = Desk({0: "s"}, policy="or-hitl")
-    desk.to(3.0)
-    asked = desk.asked[0]
+    manual = ManualFleet({0: "s"}, policy="or-hitl")
+    manual.to(3.0)
+    asked = manual.asked[0]
     for wrong in (outcome(), "push", True, (3, 0.4, 0.1)):
         with pytest.raises(TypeError, match="input cannot result in"):
-            desk.fleet.deliver(asked, wrong)  # pyright: ignore[reportArgumentType]
-    desk.fleet.deliver(asked, None)
+            manual.fleet.deliver(asked, wrong)  # pyright: ignore[reportArgumentType]
+    manual.fleet.deliver(asked, None)
     with pytest.raises(ValueError, match="not outstanding"):
-        desk.fleet.deliver(asked, PUSH)
-    desk.to(4.0)
-    assert desk.log()[-1].endswith("go_on")
+        manual.fleet.deliver(asked, PUSH)
+    manual.to(4.0)
+    assert manual.log()[-1].endswith("go_on")
 
 
 def test_no_answer_is_booked_and_the_robot_goes_on():
-    desk = Desk({0: ". s s f"}, policy="or-hitl")
-    desk.to(60.0)
-    assert desk.asked[0].request == 0
-    desk.say(0, UNANSWERED)
-    desk.to(90.0)
+    manual = ManualFleet({0: ". s s f"}, policy="or-hitl")
+    manual.to(60.0)
+    assert manual.asked[0].request == 0
+    manual.answer(0, UNANSWERED)
+    manual.to(90.0)
     # The iteration after it is stuck as well: it asks again, under the next number.
-    assert desk.asked[0].request == 1
-    desk.say(0, PUSH)
-    desk.end()
+    assert manual.asked[0].request == 1
+    manual.answer(0, PUSH)
+    manual.end()
     services = [
         (event.kind, event.request, event.outcome)
-        for event in desk.fleet.events
+        for event in manual.fleet.events
         if event.kind in (EventKind.BID, EventKind.GRANT, EventKind.SERVICE_END)
     ]
     assert services == [
@@ -230,59 +230,59 @@ def test_no_answer_is_booked_and_the_robot_goes_on():
         ("grant", 1, None),
         ("service_end", 1, "push"),
     ]
-    assert desk.robots.calls == [("begin", 0, 0), ("go_on", 0, None), ("start_push", 0, PUSH)]
-    (record,) = desk.fleet.records
+    assert manual.robots.calls == [("begin", 0, 0), ("go_on", 0, None), ("start_push", 0, PUSH)]
+    (record,) = manual.fleet.records
     assert (record.requests, record.grants, record.answered, record.expired) == (2, 2, 1, 1)
     assert len(record.asked_cost) == len(record.helped_cost) == 1
     assert record.status is Status.SOLVED
-    desk.verify()
+    manual.verify()
 
 
 def test_nobody_answers_before_the_first_iteration():
-    desk = Desk({0: "f"}, policy="always")
-    desk.to(5.0)
-    desk.say(0, UNANSWERED)
-    desk.end()
-    assert desk.robots.calls == [("begin", 0, 0)]  # there is nothing to go on with
-    assert desk.fleet.records[0].status is Status.SOLVED
-    desk.verify()
+    manual = ManualFleet({0: "f"}, policy="always")
+    manual.to(5.0)
+    manual.answer(0, UNANSWERED)
+    manual.end()
+    assert manual.robots.calls == [("begin", 0, 0)]  # there is nothing to go on with
+    assert manual.fleet.records[0].status is Status.SOLVED
+    manual.verify()
 
 
 def test_open_and_timed_services_side_by_side():
-    desk = Desk(
+    manual = ManualFleet(
         {0: "s f", 1: "s f"}, policy="queue", robots=2, operators=2, service=OpenFor((1,), 4.0)
     )
-    desk.to(3.0)
-    desk.say(0, None)  # the input of a timed service: its time stays as it was
-    desk.to(20.0)
-    assert "5.5 service_end r0.0 q0 o0 go_on" in desk.log()
-    desk.say(1, PUSH)
-    desk.end()
-    ends = [e for e in desk.fleet.events if e.kind is EventKind.SERVICE_END]
+    manual.to(3.0)
+    manual.answer(0, None)  # the input of a timed service: its time stays as it was
+    manual.to(20.0)
+    assert "5.5 service_end r0.0 q0 o0 go_on" in manual.log()
+    manual.answer(1, PUSH)
+    manual.end()
+    ends = [e for e in manual.fleet.events if e.kind is EventKind.SERVICE_END]
     assert [(e.robot, e.time_ns) for e in ends] == [(0, nanoseconds(5.5)), (1, 20 * S + 1)]
-    desk.verify()
+    manual.verify()
 
 
 def test_a_switch_of_context_costs_no_time_in_an_open_service():
-    desk = Desk({0: "f", 1: "f"}, policy="always", robots=2, context_switch_s=5.0)
-    desk.to(2.0)
-    desk.say(0, None)
-    desk.to(3.0)
-    desk.say(1, None)
-    desk.end()
-    ends = [e.time_ns for e in desk.fleet.events if e.kind is EventKind.SERVICE_END]
+    manual = ManualFleet({0: "f", 1: "f"}, policy="always", robots=2, context_switch_s=5.0)
+    manual.to(2.0)
+    manual.answer(0, None)
+    manual.to(3.0)
+    manual.answer(1, None)
+    manual.end()
+    ends = [e.time_ns for e in manual.fleet.events if e.kind is EventKind.SERVICE_END]
     assert ends == [2 * S + 1, 3 * S + 1]
 
 
 def test_a_horizon_cuts_an_open_service_off():
-    desk = Desk({0: "s"}, policy="or-hitl", horizon_s=6.0)
-    desk.to(3.0)
-    desk.to(6.0)
-    assert desk.fleet.done
-    assert desk.log()[-2:] == ["6 service_end r0.0 q0 o0 censored", "6 task_end r0.0 censored"]
-    desk.say(0, PUSH)  # ignored
-    assert desk.fleet.advance() == []
-    desk.verify()
+    manual = ManualFleet({0: "s"}, policy="or-hitl", horizon_s=6.0)
+    manual.to(3.0)
+    manual.to(6.0)
+    assert manual.fleet.done
+    assert manual.log()[-2:] == ["6 service_end r0.0 q0 o0 censored", "6 task_end r0.0 censored"]
+    manual.answer(0, PUSH)  # ignored
+    assert manual.fleet.advance() == []
+    manual.verify()
 
 
 # -- operators who come and go -------------------------------------------------------------------
@@ -290,28 +290,28 @@ def test_a_horizon_cuts_an_open_service_off():
 
 def test_nobody_is_granted_to_an_operator_who_is_away_in_line():
     away = [Attendance(0, 0, False), Attendance(6 * S, 0, True)]
-    desk = Desk({0: "f", 1: "f"}, policy="always", robots=2, attendance=away)
-    desk.to(10.0)
-    assert desk.log() == [
+    manual = ManualFleet({0: "f", 1: "f"}, policy="always", robots=2, attendance=away)
+    manual.to(10.0)
+    assert manual.log() == [
         "0 operator_away o0",
         "0 bid r0.0 q0 gain=inf",
         "0 bid r1.0 q0 gain=inf",
         "6 operator_back o0",
         "6 grant r0.0 q0 o0",
     ]
-    desk.say(0, None)
-    desk.to(11.0)
-    desk.say(1, None)
-    desk.end()
-    assert [record.waiting_s for record in desk.fleet.records] == [6.0, 10.000000001]
-    desk.verify()
+    manual.answer(0, None)
+    manual.to(11.0)
+    manual.answer(1, None)
+    manual.end()
+    assert [record.waiting_s for record in manual.fleet.records] == [6.0, 10.000000001]
+    manual.verify()
 
 
 def test_nobody_is_granted_to_an_operator_who_is_away_refused():
     away = [Attendance(1 * S, 0, False), Attendance(6 * S, 0, True)]
-    desk = Desk({0: "s s s f"}, policy="or-hitl", attendance=away)
-    desk.to(8.0)
-    assert desk.log()[:6] == [
+    manual = ManualFleet({0: "s s s f"}, policy="or-hitl", attendance=away)
+    manual.to(8.0)
+    assert manual.log()[:6] == [
         "1 operator_away o0",
         "1.5 bid r0.0 q0 i0 gain=inf",
         "1.5 refused r0.0 q0 busy",
@@ -320,10 +320,10 @@ def test_nobody_is_granted_to_an_operator_who_is_away_refused():
         "6 operator_back o0",
     ]
     # Coming back grants nothing by itself: the robot asks again.
-    assert desk.log()[6:] == ["7.5 bid r0.0 q0 i2 gain=inf", "7.5 grant r0.0 q0 o0"]
-    desk.say(0, None)
-    desk.end()
-    desk.verify()
+    assert manual.log()[6:] == ["7.5 bid r0.0 q0 i2 gain=inf", "7.5 grant r0.0 q0 o0"]
+    manual.answer(0, None)
+    manual.end()
+    manual.verify()
 
 
 def test_nobody_is_granted_to_an_operator_who_is_away_in_windows():
@@ -334,9 +334,9 @@ def test_nobody_is_granted_to_an_operator_who_is_away_in_windows():
         Attendance(5 * S, 0, False),
         Attendance(7 * S, 0, True),
     ]
-    desk = Desk({0: "s s s f", 1: "s s s f"}, policy="pgf", robots=2, attendance=away)
-    desk.to(60.0)
-    assert desk.log() == [
+    manual = ManualFleet({0: "s s s f", 1: "s s s f"}, policy="pgf", robots=2, attendance=away)
+    manual.to(60.0)
+    assert manual.log() == [
         "0 operator_away o0",
         "2 operator_back o0",
         "4.5 window_open r0.0",
@@ -351,71 +351,71 @@ def test_nobody_is_granted_to_an_operator_who_is_away_in_windows():
         "9.5 bid r0.0 q0 i2 gain=inf",
         "9.5 bid r1.0 q0 i2 gain=inf",
         "11.5 window_close",
-        *desk.log()[14:],
+        *manual.log()[14:],
     ]
-    assert [line.split()[1] for line in desk.log()[14:16]] == ["grant", "refused"]
-    desk.end()
-    desk.verify()
+    assert [line.split()[1] for line in manual.log()[14:16]] == ["grant", "refused"]
+    manual.end()
+    manual.verify()
 
 
 def test_a_service_under_way_goes_on_when_its_operator_leaves():
-    desk = Desk({0: "f", 1: "f"}, policy="always", robots=2)
-    desk.to(2.0)
-    desk.fleet.attend(0, False)
-    desk.to(5.0)
-    assert desk.log()[-1] == "2 operator_away o0"
-    assert desk.fleet.operators.serving(0) == 0
-    assert not desk.fleet.operators.is_there(0)
-    assert desk.fleet.operators.free == 0
-    desk.say(0, PUSH)
-    desk.to(20.0)
+    manual = ManualFleet({0: "f", 1: "f"}, policy="always", robots=2)
+    manual.to(2.0)
+    manual.fleet.set_attendance(0, False)
+    manual.to(5.0)
+    assert manual.log()[-1] == "2 operator_away o0"
+    assert manual.fleet.operators.serving(0) == 0
+    assert not manual.fleet.operators.is_present(0)
+    assert manual.fleet.operators.free == 0
+    manual.answer(0, PUSH)
+    manual.to(20.0)
     # Robot 1 stays in line until the operator is back.
-    assert desk.fleet.operators.serving(0) is None
-    assert 1 not in desk.asked
-    desk.fleet.attend(0, True)
-    desk.to(21.0)
-    assert desk.log()[-2:] == ["20 operator_back o0", "20 grant r1.0 q0 o0"]
-    desk.say(1, None)
-    desk.end()
-    desk.verify()
+    assert manual.fleet.operators.serving(0) is None
+    assert 1 not in manual.asked
+    manual.fleet.set_attendance(0, True)
+    manual.to(21.0)
+    assert manual.log()[-2:] == ["20 operator_back o0", "20 grant r1.0 q0 o0"]
+    manual.answer(1, None)
+    manual.end()
+    manual.verify()
 
 
 def test_one_of_two_operators_is_away():
-    desk = Desk({0: "f", 1: "f", 2: "f"}, policy="always", robots=3, operators=2,
+    manual = ManualFleet({0: "f", 1: "f", 2: "f"}, policy="always", robots=3, operators=2,
                 attendance=[Attendance(0, 0, False)])  # fmt: skip
-    desk.to(1.0)
-    assert [*desk.asked] == [0]
-    assert "0 grant r0.0 q0 o1" in desk.log()
-    desk.fleet.attend(0, True)
-    desk.to(2.0)
-    assert [*desk.asked] == [0, 1]
-    assert desk.log()[-1].endswith("grant r1.0 q0 o0")
+    manual.to(1.0)
+    assert [*manual.asked] == [0]
+    assert "0 grant r0.0 q0 o1" in manual.log()
+    manual.fleet.set_attendance(0, True)
+    manual.to(2.0)
+    assert [*manual.asked] == [0, 1]
+    assert manual.log()[-1].endswith("grant r1.0 q0 o0")
     for robot in range(3):
-        desk.say(robot, None)
-        desk.to(3.0 + robot)
-    desk.end()
-    desk.verify()
+        manual.answer(robot, None)
+        manual.to(3.0 + robot)
+    manual.end()
+    manual.verify()
 
 
 def test_attendance_counts_from_the_instant_after():
-    desk = Desk({0: "f"}, policy="autonomous")
-    desk.to(1.25)
-    desk.fleet.attend(0, False)
-    assert desk.fleet.operators.is_there(0)
-    desk.to(1.25)
-    assert desk.fleet.operators.is_there(0)
-    desk.to(1.25 + 1e-9)
-    assert not desk.fleet.operators.is_there(0)
-    assert desk.fleet.events[-1].time_ns == nanoseconds(1.25) + 1
+    manual = ManualFleet({0: "f"}, policy="autonomous")
+    manual.to(1.25)
+    manual.fleet.set_attendance(0, False)
+    assert manual.fleet.operators.is_present(0)
+    manual.to(1.25)
+    assert manual.fleet.operators.is_present(0)
+    manual.to(1.25 + 1e-9)
+    assert not manual.fleet.operators.is_present(0)
+    assert manual.fleet.events[-1].time_ns == nanoseconds(1.25) + 1
 
 
 def test_an_operator_who_leaves_with_an_answer_takes_on_nobody():
-    desk = Desk({0: "f", 1: "f"}, policy="always", robots=2)
-    desk.to(60.0)
-    desk.say(0, UNANSWERED)
-    desk.fleet.attend(0, False)
-    desk.to(61.0)
-    assert desk.fleet.operators.serving(0) is None
+    manual = ManualFleet({0: "f", 1: "f"}, policy="always", robots=2)
+    manual.to(60.0)
+    manual.answer(0, UNANSWERED)
+    manual.fleet.set_attendance(0, False)
+    manual.to(61.0)
+    assert manual.fleet.operators.serving(0) is None
 
 
 @pytest.mark.parametrize(
@@ -423,29 +423,33 @@ def test_an_operator_who_leaves_with_an_answer_takes_on_nobody():
 )
 def test_changes_of_one_instant_keep_their_order_in_a_replay(changes):
     script = {0: ". . . f"}
-    desk = Desk(script, policy="autonomous", operators=2, attendance=[Attendance(0, 0, False)])
-    desk.to(2.0)
+    manual = ManualFleet(
+        script, policy="autonomous", operators=2, attendance=[Attendance(0, 0, False)]
+    )
+    manual.to(2.0)
     for operator, present in changes:
-        desk.fleet.attend(operator, present)
-    desk.end()
-    again = Desk(
+        manual.fleet.set_attendance(operator, present)
+    manual.end()
+    again = ManualFleet(
         script,
         policy="autonomous",
         operators=2,
-        attendance=recording(desk.fleet).attendance,
+        attendance=recording(manual.fleet).attendance,
     )
     again.end()
-    assert again.log() == desk.log()
+    assert again.log() == manual.log()
 
 
 def test_a_change_now_comes_before_one_that_was_planned():
-    desk = Desk({0: ". . . f"}, policy="autonomous", attendance=[Attendance(6 * S, 0, True)])
-    desk.to(2.0)
-    desk.fleet.attend(0, False)
-    desk.end()
-    times = [event.time_ns for event in desk.fleet.events]
+    manual = ManualFleet(
+        {0: ". . . f"}, policy="autonomous", attendance=[Attendance(6 * S, 0, True)]
+    )
+    manual.to(2.0)
+    manual.fleet.set_attendance(0, False)
+    manual.end()
+    times = [event.time_ns for event in manual.fleet.events]
     assert times == sorted(times)
-    assert "2 operator_away o0" in desk.log()
+    assert "2 operator_away o0" in manual.log()
 
 
 # -- the clock -----------------------------------------------------------------------------------
@@ -520,7 +524,7 @@ def test_a_held_clock_changes_nothing(config, seed, chance, plan):
         outstanding += held.advance(until_ns)
         assert all(event.time_ns <= until_ns for event in held.events)
         assert held.now_ns <= until_ns
-        waits = held.waits_for_ns
+        waits = held.blocked_at_ns
         assert waits is None or held.done or outstanding or waits > until_ns
         chance.shuffle(outstanding)
         for _ in range(chance.choice([len(outstanding), chance.randint(0, len(outstanding))])):
@@ -581,28 +585,28 @@ def test_a_fleet_that_is_stopped_is_one_of_that_horizon(config, seed, until_ns, 
 
 
 def test_a_fleet_is_stopped_in_an_open_service():
-    desk = Desk({0: "f", 1: "f"}, policy="always", robots=2)
-    desk.to(4.0)
-    desk.fleet.stop()
-    desk.end()
-    assert desk.log()[-4:] == [
+    manual = ManualFleet({0: "f", 1: "f"}, policy="always", robots=2)
+    manual.to(4.0)
+    manual.fleet.stop()
+    manual.end()
+    assert manual.log()[-4:] == [
         "4 service_end r0.0 q0 o0 censored",
         "4 task_end r0.0 censored",
         "4 expired r1.0 q0 censored",
         "4 task_end r1.0 censored",
     ]
-    assert desk.fleet.now_ns == 4 * S + 1
-    desk.verify()
+    assert manual.fleet.now_ns == 4 * S + 1
+    manual.verify()
 
 
 def test_an_input_counts_when_the_fleet_is_stopped_after_it():
-    desk = Desk({0: "f"}, policy="always")
-    desk.to(4.0)
-    desk.say(0, PUSH)
-    desk.fleet.stop()
-    desk.end()
-    assert [line.split()[-1] for line in desk.log()[-2:]] == ["push", "censored"]
-    desk.verify()
+    manual = ManualFleet({0: "f"}, policy="always")
+    manual.to(4.0)
+    manual.answer(0, PUSH)
+    manual.fleet.stop()
+    manual.end()
+    assert [line.split()[-1] for line in manual.log()[-2:]] == ["push", "censored"]
+    manual.verify()
 
 
 def test_a_stop_does_not_put_the_horizon_off():
@@ -618,7 +622,7 @@ def test_a_stop_does_not_put_the_horizon_off():
     assert fleet.now_ns <= 3 * S
 
 
-# -- live, and once more -------------------------------------------------------------------------
+# -- live sessions and replays -------------------------------------------------------------------
 
 
 def recording(fleet: Fleet) -> Recording:
@@ -627,7 +631,7 @@ def recording(fleet: Fleet) -> Recording:
 
 @dataclasses.dataclass
 class Live:
-    """A fleet that is driven in random steps, with somebody who answers now and then.
+    """A fleet that is advanced in random steps, with an operator who answers at random times.
 
     With `late` the computer does not keep up with the clock.
     """
@@ -660,7 +664,7 @@ class Live:
                 work = asked.pop(chance.randrange(len(asked)))
                 fleet.deliver(work, chance.choice([PUSH, PUSH, None, UNANSWERED]))
             while chance.random() < 0.1:  # several at one instant, too
-                fleet.attend(chance.randrange(self.config.operators), chance.random() < 0.6)
+                fleet.set_attendance(chance.randrange(self.config.operators), chance.random() < 0.6)
         return fleet
 
     def _stop(self, fleet: Fleet) -> None:
@@ -688,7 +692,7 @@ class Live:
                 return
 
     def _is_served(self, fleet: Fleet, work: Work) -> bool:
-        run = fleet.run(work.robot)
+        run = fleet.task_run(work.robot)
         assert run is not None
         return (
             not fleet.done
@@ -698,7 +702,7 @@ class Live:
 
     @staticmethod
     def _is_refused(fleet: Fleet, work: Work) -> None:
-        run = fleet.run(work.robot)
+        run = fleet.task_run(work.robot)
         if not fleet.done and run is not None and run.task != work.task:
             with pytest.raises(ValueError, match="not outstanding"):
                 fleet.deliver(work, None)
@@ -707,7 +711,7 @@ class Live:
 def replay(
     config: FleetConfig, seed: int, said: Recording, held: Callable[[], int] | None = None
 ) -> Fleet:
-    """A second fleet, of which nothing is known but what was said in the first."""
+    """A second fleet that is given only the inputs of the first."""
 
     def decide(work: Work) -> Given:
         return said.inputs[work.robot, work.task, work.request or 0][1]

@@ -24,6 +24,7 @@ from pgf_jax.planning.types import UNANSWERED, Push
 from pgf_jax.sweeping.config import SweepConfig
 from pgf_jax.tables import results
 from pgf_jax.tables.event_log import Journal, write_log
+from pgf_jax.tables.parquet import encode_table
 
 MEAN, SD = 8.0, 4.0
 SIGMA = math.sqrt(math.log1p((SD / MEAN) ** 2))
@@ -32,7 +33,7 @@ MU = math.log(MEAN) - SIGMA**2 / 2
 
 @pytest.fixture(autouse=True)
 def own_environment(monkeypatch, tmp_path):
-    """What `main` sets for its process is undone after each test."""
+    """Undo after each test what `main` sets for its process."""
     for name in ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
         monkeypatch.setenv(name, "1" if name.endswith("SECS") else str(tmp_path / "cache"))
 
@@ -60,7 +61,7 @@ def drawn(count, seed=0):
 
 
 def log_likelihood(sample, mu, sigma):
-    """Of ln(s), written down once more."""
+    """The log-likelihood of ln(s), implemented independently."""
     total = 0.0
     for seconds, outcome_, _ in sample.services:
         z = (math.log(seconds) - mu) / sigma
@@ -72,7 +73,7 @@ def log_likelihood(sample, mu, sigma):
 
 
 def standard_errors(sample, mu, sigma, h=1e-3):
-    """Of mu and sigma: from the curvature of the log-likelihood."""
+    """Standard errors of mu and sigma, from the curvature of the log-likelihood."""
 
     def at(i, j):
         return log_likelihood(sample, mu + i * h, sigma + j * h)
@@ -397,10 +398,10 @@ def write_journal(path, events, speed=None):
 
 
 def write_table(path, *fleets):
-    """As a sweep writes it: of one cell, or merged."""
+    """A log as a sweep writes it: of one cell, or merged."""
     frames = [results.events_frame(events) for events in fleets]
     cells = [(Cell("queue", robots, 1), frame) for robots, frame in enumerate(frames, 1)]
-    write_atomically(path, results.parquet(results.merge(cells) if len(cells) > 1 else frames[0]))
+    write_atomically(path, encode_table(results.merge(cells) if len(cells) > 1 else frames[0]))
     return path
 
 
@@ -436,7 +437,7 @@ def test_json_is_the_whole_fit(tmp_path, capsys):
 def test_json_has_no_infinity():
     result = fit(sample_of([2.0, 3.0]))
     result = dataclasses.replace(result, mean_interval_s=(2.0, math.inf))
-    assert command._plain(result)["mean_interval_s"] == [2.0, None]
+    assert command._json_content(result)["mean_interval_s"] == [2.0, None]
 
 
 def test_several_logs_are_taken_together_each_in_its_operators_seconds(tmp_path, capsys):

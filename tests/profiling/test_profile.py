@@ -1,4 +1,4 @@
-"""The profiler: what it reports adds up; how fast anything is, is not tested."""
+"""The profiler: its numbers add up; speed itself is not tested."""
 
 import json
 

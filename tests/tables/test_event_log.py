@@ -1,4 +1,4 @@
-"""Event logs as files: they come back as they went in, and what is no log is said in one line."""
+"""Event logs as files: round trips, and one line of error for files that are no logs."""
 
 import contextlib
 import json
@@ -27,7 +27,7 @@ from pgf_jax.tables.event_log import (
     read_log,
     write_log,
 )
-from pgf_jax.tables.parquet import write_table
+from pgf_jax.tables.parquet import encode_table, write_table
 
 ABOUT = {"settings": {"seed": 3}, "identity": {"versions": {"pgf_jax": "0"}}, "more": [1, "ä"]}
 HEAD = json.dumps({"what": "pgf_jax session", "format": FORMAT, **ABOUT}) + "\n"
@@ -62,7 +62,7 @@ FEW = [
 
 
 def known(events):
-    """As a log has them: a gain that is not known is not there."""
+    """The events as a log has them, without unknown gains."""
     return [
         event._replace(gain=None) if event.gain is not None and math.isnan(event.gain) else event
         for event in events
@@ -77,7 +77,7 @@ def journal(path, events=FEW, about=ABOUT):
 
 
 def bad(path, words=""):
-    """The one line that reading it says."""
+    """The one line of error that reading the file gives."""
     with pytest.raises(BadInput) as caught:
         read_log(path)
     message = str(caught.value)
@@ -88,7 +88,7 @@ def bad(path, words=""):
 
 
 def with_line(path, text, number=3):
-    """A journal with another line in the place of one."""
+    """A journal in which one line is replaced."""
     lines = journal(path).read_bytes().splitlines(keepends=True)
     text = text if isinstance(text, bytes) else text.encode()
     path.write_bytes(b"".join([*lines[: number - 1], text + b"\n", *lines[number:]]))
@@ -214,7 +214,7 @@ def test_what_follows_a_cut_line_is_not_lost_on_a_longer_file(tmp_path):
     ]  # fmt: skip
 
 
-# -- what is no log --------------------------------------------------------------------------------
+# -- bad files ------------------------------------------------------------------------------------
 
 GARBAGE = {
     "empty line": (b"", "expected JSON"),
@@ -361,7 +361,7 @@ def test_a_sweeps_log_is_split_in_its_fleets(tmp_path):
     others = [Event(0, EventKind.TASK_START, 4, 0), FEW[-1]]
     fleets = {Cell("pgf", 1, 2): FEW, Cell("pgf", 10, 2): others, Cell("or-hitl", 1, 2): FEW[:1]}
     merged = results.merge([(cell, results.events_frame(e)) for cell, e in fleets.items()])
-    (tmp_path / TABLE).write_bytes(results.parquet(merged))
+    (tmp_path / TABLE).write_bytes(encode_table(merged))
     log = read_log(tmp_path)
     assert log.path == tmp_path / TABLE
     assert log.fleets == [known(events) for events in fleets.values()]
@@ -370,14 +370,14 @@ def test_a_sweeps_log_is_split_in_its_fleets(tmp_path):
         _ = log.events
     assert str(caught.value).startswith(str(log.path))
     # The log of a cell is of one, and says nothing of itself either.
-    (tmp_path / TABLE).write_bytes(results.parquet(results.events_frame(FEW)))
+    (tmp_path / TABLE).write_bytes(encode_table(results.events_frame(FEW)))
     assert read_log(tmp_path).events == known(FEW)
     assert read_log(tmp_path).settings is None
     # Their order is checked in each fleet by itself.
     back = results.merge(
         [(Cell("pgf", 1, 2), results.events_frame(FEW[::-1])), (Cell("pgf", 2, 2), merged[:0, 2:])]
     )
-    (tmp_path / TABLE).write_bytes(results.parquet(back))
+    (tmp_path / TABLE).write_bytes(encode_table(back))
     bad(tmp_path / TABLE, "row 2: time_ns 2501 is before")
 
 

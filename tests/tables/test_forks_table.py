@@ -1,4 +1,4 @@
-"""Tables of forks: what is refused, and what is read from them."""
+"""Tables of forks: bad tables are refused, good ones become arrays."""
 
 import re
 
