@@ -1,4 +1,4 @@
-"""Geometry of a view: what the operator sees, and what predictors are told of it."""
+"""Geometry of a view, as operators and features use it."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from pgf_jax.guidance.view import View
 from pgf_jax.physics import hand
 from pgf_jax.scene.scene import BACK_WALL_X, SIDE_WALL_Y
 
-CORRIDOR = 0.065  # m, half-width (D2)
+CORRIDOR = 0.065  # m, half-width of the straight corridor from the hand to the goal
 _FRONT = hand.capsule_segments(0.0).max((1, 2)) > 0.12  # not the base and the wrist
 _FRONT_RADII = hand.RADII[_FRONT]
 OPEN = hand.capsule_segments(0.0)[_FRONT]  # [C, 2, 2] axes of the open hand ahead of the wrist
@@ -14,7 +14,7 @@ CLOSED = hand.capsule_segments(hand.GRIPPER_CLOSED)[_FRONT]
 
 
 def culprits(view: View) -> np.ndarray:
-    """[N] 1 for objects that stop the best trajectory so far, else 0."""
+    """Mark the objects that stop the best trajectory so far: [N] 1, else 0."""
     n = len(view.objects)
     marked = np.zeros(n)
     if not np.isfinite(view.terms).all():
@@ -27,8 +27,8 @@ def culprits(view: View) -> np.ndarray:
     goal_and_hand = {view.goal, n}
     for force, (a, b) in zip(view.force[-1], view.bodies[-1], strict=True):
         for one, other in ((a, b), (b, a)):
-            # What is ahead of the hand stops it, and what is jammed between hand and wall; what
-            # merely slides along its side does not.
+            # An object ahead of the hand stops it, and so does one that is jammed between hand and
+            # wall; an object that slides along the hand's side does not.
             stops = other in goal_and_hand and abs(bearing[one % n]) < 1.2 and force > 1
             jammed = other == n + 1 and force > 20
             if one < n and (stops or jammed):
@@ -38,7 +38,7 @@ def culprits(view: View) -> np.ndarray:
 
 
 def segment_distance(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """[P, N] distance of points [N, 2] to the segments a-b, each [P, 2] or [2]."""
+    """Distances [P, N] of points [N, 2] to the segments a-b, each [P, 2] or [2]."""
     a, b = np.broadcast_arrays(a, b)
     a, b = np.atleast_2d(a)[:, None], np.atleast_2d(b)[:, None]
     ab = b - a
@@ -47,9 +47,9 @@ def segment_distance(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.nda
 
 
 def into_walls(ee: np.ndarray, yaw: np.ndarray, capsules: np.ndarray) -> np.ndarray:
-    """[P] how far a hand at `ee` ([P, 2]), turned by `yaw` ([P]), is in a wall, m.
+    """Depth [P], m, in a wall of a hand at `ee` ([P, 2]), turned by `yaw` ([P]).
 
-    `capsules` are [C, 2, 2] axes in the hand's frame of what is ahead of the wrist.
+    `capsules` are the [C, 2, 2] axes, in the hand's frame, of its parts ahead of the wrist.
     """
     c, s = np.cos(yaw), np.sin(yaw)
     rel = capsules - hand.EE_POINT
@@ -60,11 +60,11 @@ def into_walls(ee: np.ndarray, yaw: np.ndarray, capsules: np.ndarray) -> np.ndar
 
 
 def end_effector(pose: np.ndarray) -> np.ndarray:
-    """[2] position of `ee`, m, of a hand pose [3]."""
+    """Position [2] of `ee`, m, at a hand pose [3]."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return pose[:2] + np.array([[c, -s], [s, c]]) @ hand.EE_POINT
 
 
 def wrap(angle: np.ndarray) -> np.ndarray:
-    """The angles within (-pi, pi]."""
+    """Wrap angles into (-pi, pi]."""
     return np.arctan2(np.sin(angle), np.cos(angle))

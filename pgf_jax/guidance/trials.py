@@ -1,8 +1,8 @@
-"""Trials: what would come of an input, found out by rollouts before anything is decided.
+"""Trials: simulate a human input by rollouts, before anything is decided.
 
-A *deliberation* is a generator: it yields lists of requests (iterations, retreats), is sent their
-results, and returns what it was for. Who runs it puts the requests of many deliberations, and of
-the robots that plan meanwhile, into the same calls of the engine (D8).
+A trial is a coroutine (see `batching.requests`): it yields requests for iterations and retreats,
+and returns a `Trial`. So the requests of many trials, and of the robots that plan meanwhile, go
+into the same calls of the engine.
 """
 
 import dataclasses
@@ -10,23 +10,24 @@ import math
 
 import numpy as np
 
-from pgf_jax.batching.requests import Coroutine, KeyPath, Retreat, Step
+from pgf_jax.batching.requests import Coroutine, KeyPaths, Retreat, Step
 from pgf_jax.physics.engine import World
 from pgf_jax.planning.planner import BatchPlanner, Search
 from pgf_jax.planning.types import Push
 
-PUSH_ITERATIONS = 9  # what fits in the 30 s of a push: 1.5 s for its nominal, 3 s for each (D4, D8)
+# Iterations within a push's limit of 30 s: 1.5 s for its nominal, then 3 s for each.
+PUSH_ITERATIONS = 9
 
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """What came of one trial.
+    """Result of one trial.
 
     Attributes:
-      cost: c_d + c_f + c_b of the best trajectory at its end.
-      total: its whole cost.
-      solved: whether that is feasible.
-      iterations: taken, those of the push and iteration 0s included.
+      cost: c_d + c_f + c_b of the best trajectory at the trial's end.
+      total: the whole cost of that trajectory.
+      solved: whether that trajectory is feasible.
+      iterations: all iterations, those of the push and iteration 0s included.
       pushed: the push was found (False: dropped, or there was none).
     """
 
@@ -41,23 +42,24 @@ def simulate_input(
     planner: BatchPlanner,
     search: Search,
     push: Push | None,
-    key_path: KeyPath,
+    key_paths: KeyPaths,
     *,
     push_limit: int = PUSH_ITERATIONS,
     reach_limit: int,
     total_limit: int | None = None,
 ) -> Coroutine:
-    """Try one input from a reach as it stands, as a robot would (D4); returns a `Trial`.
+    """Simulate one input, given to a reach as it stands; returns a `Trial`.
 
-    A push is planned and executed, and reaching starts again; one that is not found within its
-    limit is dropped, and reaching starts again from the shelf as it was.
+    The trial does what a robot does: a push is planned and executed, and reaching starts again. A
+    push that is not found within its limit is dropped, and reaching starts again from the shelf as
+    it was.
 
     Args:
       planner: of the searches.
       search: a reach that is not solved.
       push: the input; None: go on reaching.
-      words: key of each iteration, by how many came before it in this trial.
-      push_limit: iterations of the push, its nominal's not counted.
+      key_paths: of the trial's iterations, which are counted from 0.
+      push_limit: iterations of the push, without its nominal's.
       reach_limit: reach iterations, likewise: the look-ahead.
       total_limit: iterations of both kinds, likewise; None: no such limit.
     """
@@ -68,7 +70,7 @@ def simulate_input(
     if push is not None:
         current = planner.begin_push(search.start, int(search.task.goal), push)
         while not planner.terminate(current) and int(current.iteration) < min(push_limit, left):
-            (current,) = yield [Step(current, key_path(steps))]
+            (current,) = yield [Step(current, key_paths(steps))]
             steps += 1
         counted = int(current.iteration)
         found = planner.terminate(current)
@@ -78,7 +80,7 @@ def simulate_input(
         reach = planner.begin_reach(world, int(search.task.goal))
     last = max(0, int(reach.iteration)) + min(reach_limit, left - counted)
     while not planner.terminate(reach) and int(reach.iteration) < last:
-        (reach,) = yield [Step(reach, key_path(steps))]
+        (reach,) = yield [Step(reach, key_paths(steps))]
         steps += 1
     value = reach.value
     cost = float(np.sum(value.terms[:3]))

@@ -1,4 +1,4 @@
-"""What an operator sees of a robot."""
+"""The type `View`: what an operator sees of a robot, and the key of a decision."""
 
 import dataclasses
 from typing import TYPE_CHECKING
@@ -8,13 +8,13 @@ import numpy as np
 if TYPE_CHECKING:  # the planner needs JAX, and the command line lists the operators
     from pgf_jax.planning.planner import Search
 
-
-DecisionKey = tuple[int, int, int, int]  # seed, robot, task, iterations of the task that have ended
+# Identifies one decision of an operator: seed, robot, task, iterations of the task that have ended.
+DecisionKey = tuple[int, int, int, int]
 
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """What an operator sees of a robot: the shelf as it is, and the best trajectory so far.
+    """View of a robot: the shelf as it is, and the best trajectory so far.
 
     Attributes:
       objects: [N, 2] centres now, m.
@@ -25,10 +25,10 @@ class View:
         while nothing has been rolled out.
       hands: [T, 3] hand poses there.
       force: [T, C] contact forces there, N.
-      bodies: [T, C, 2] who touches whom: 0..N-1 an object, N the hand, N+1 a wall.
+      bodies: [T, C, 2] the two bodies of each contact: 0..N-1 an object, N the hand, N+1 a wall.
       terms: [5] the best trajectory's c_d, c_f, c_b, c_e, c_s; inf before the first rollout.
       request: number of this input in its task, 0-based.
-      dropped: pushes given since the shelf last changed that the planner could not do.
+      dropped: pushes since the shelf last changed that the planner could not find.
     """
 
     objects: np.ndarray
@@ -45,7 +45,7 @@ class View:
 
     @classmethod
     def of(cls, search: "Search", request: int = 0, dropped: int = 0) -> "View":
-        """What there is to see of a search."""
+        """Make the view of a robot from its search."""
         return cls(
             objects=np.asarray(search.start.objects),
             goal=int(search.task.goal),

@@ -1,4 +1,4 @@
-"""The protocol every engine keeps, and the registry that finds engines by name.
+"""The protocol of physics engines, and the registry that finds engines by name.
 
 Axes: B rollouts, T knots, N objects, C contact slots.
 """
@@ -7,14 +7,16 @@ import importlib
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
+from pgf_jax import cores
 from pgf_jax.errors import BadInput
 from pgf_jax.physics.config import Physics
+from pgf_jax.settings import check_choice
 
 Array = Any  # numpy or JAX array: engines take and return either
 
-# C, contact slots of every engine's rollouts: no scene among the published ones had more than 20
-# simultaneous contacts. `mjx` drops contacts beyond them; `native` and `planar` solve all of them,
-# and leave some (`planar`: the weakest) out of what they report, and so out of the cost.
+# C, contact slots of every engine's rollouts: no published scene had more than 20 simultaneous
+# contacts. `mjx` drops the contacts beyond C. `native` and `planar` solve all of them, but report
+# only C (`planar`: the strongest), so that the others do not count in the cost.
 MAX_CONTACTS = 24
 
 
@@ -28,7 +30,7 @@ class World(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """What a rollout leaves behind: knot ends, and the contacts of each knot's last substep.
+    """Result of a rollout: states at knot ends, and the contacts of each knot's last substep.
 
     A contact's bodies are 0..N-1 an object, N the hand, N+1 a wall; empty slots have zero force.
     """
@@ -47,8 +49,8 @@ class Engine(Protocol):
       name: as registered.
       physics: the constants it simulates.
       n_objects: N, fixed at construction.
-      lanes: L, how many robots' work one call takes (each with K rollouts); results are bit-equal
-        for equal L whatever the other lanes hold.
+      lanes: L, the number of robots in one call (each with K rollouts); for equal L a robot's
+        results are bit-equal whatever the other lanes hold.
     """
 
     name: str
@@ -71,8 +73,8 @@ class Engine(Protocol):
           controls: [B, T, 3] hand velocity of each knot along the world axes (m/s, m/s, rad/s).
           gripper: [B, T] gripper value that each knot moves to, linearly within the knot.
           substeps: physics substeps per knot.
-          wanted: [B] bool, rollouts that are asked for (None: all); the others, such as a batch's
-            padding, may be left out, and what is returned for them means nothing.
+          wanted: [B] bool, rollouts to compute (None: all). An engine may leave out the others,
+            such as a batch's padding; their results have no meaning.
 
         Returns:
           The rollout; non-finite positions mark one that diverged.
@@ -88,17 +90,39 @@ _ENGINES: dict[str, str | Callable[..., Engine]] = {
 
 
 def register_engine(name: str, make: Callable[..., Engine]) -> None:
-    """Make `make(physics, n_objects, lanes=..., **options)` available as `make_engine(name)`."""
+    """Register `make(physics, n_objects, lanes=..., **options)` for `make_engine(name)`."""
     _ENGINES[name] = make
 
 
 def engine_names() -> list[str]:
-    """Names that `make_engine` takes."""
+    """Names of all registered engines, sorted."""
     return sorted(_ENGINES)
 
 
+def check_engine(name: str) -> None:
+    """BadInput unless an engine of that name is registered."""
+    check_choice("engine", name, engine_names())
+
+
+# L is a constant of an engine, because `mjx` rounds differently at another L. C MuJoCo rolls out
+# one by one and gains nothing from a larger call, which would only pad more; `planar` computes no
+# padding, and fills its chunks better from a larger call.
+_LANES = {"mjx": 8, "native": 1, "planar": 64}
+_OTHER_LANES = 8
+
+
+def default_lanes(engine: str) -> int:
+    """L where none is given: robots in one call of the engine."""
+    return _LANES.get(engine, _OTHER_LANES)
+
+
+def default_processes(engine: str) -> int:
+    """Worker processes where no number is given: one a core for `planar`, whose calls use one."""
+    return len(cores.usable()) if engine == "planar" else 1
+
+
 def choice(engine: str, option: str, value: str, choices: Mapping[str, Any]) -> Any:
-    """`choices[value]`, or BadInput that names the engine's option."""
+    """Return `choices[value]`; raise BadInput that names the engine's option if it has none."""
     if value not in choices:
         expected = ", ".join(choices)
         raise BadInput(f"engine {engine}: {option} must be one of {expected}, got {value!r}")
@@ -108,12 +132,12 @@ def choice(engine: str, option: str, value: str, choices: Mapping[str, Any]) -> 
 def make_engine(
     name: str, *, physics: Physics | None = None, n_objects: int = 20, lanes: int = 1, **options
 ) -> Engine:
-    """Build an engine.
+    """Build the engine of a name.
 
     Args:
-      name: `mjx`, `native` or a registered one.
+      name: `planar`, `native`, `mjx` or another registered name.
       physics: the planar world's constants; the default ones if None.
-      n_objects: N, movable objects in every scene it will be given.
+      n_objects: N, the number of movable objects in every scene.
       lanes: L, robots per call.
       **options: the engine's own (solver, iterations, threads ...).
 

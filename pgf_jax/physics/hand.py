@@ -1,8 +1,9 @@
-"""The hand on the plane: capsules fitted to the measured footprint, and how the fingers move them.
+"""Shape of the hand: capsules fitted to the authors' hand, and how the gripper moves them.
 
-The footprint (D2) is rigid link by link, so each capsule is fitted once, in the open hand, and
-carried by its link: every link turns about a joint by an angle proportional to the gripper value
-(0 open .. 255 closed). `experiments/fit_hand.py` prints the tables below from the footprint file.
+The hand's footprint was measured in the authors' world. Each of its links is rigid, so each capsule
+is fitted once, to the open hand, and moves with its link: every link turns about a joint by an
+angle proportional to the gripper value (0 open .. 255 closed). `experiments/fit_hand.py` prints the
+tables below from the footprint file.
 """
 
 import dataclasses
@@ -22,9 +23,12 @@ POINTING_YAW = float(np.arctan2(*(EE_POINT_AHEAD - EE_POINT)[::-1]))  # -0.0485 
 
 @dataclasses.dataclass(frozen=True)
 class Link:
-    """A moving link: it turns about `joint` (open hand, metres) by `angle` (rad, at 255) in all.
+    """A moving link of the hand, which turns about a joint as the gripper closes.
 
-    `parent` is the link that carries the joint; None is the palm.
+    Attributes:
+      joint: (x, y) of the joint in the open hand, metres.
+      angle: the link's turn when the gripper is closed (255), rad.
+      parent: the link that carries the joint; None is the palm.
     """
 
     joint: tuple[float, float]
@@ -43,10 +47,11 @@ LINKS = {
     "left_spring": Link((0.1429, -0.0189), 0.7211),
 }
 
-# The fingertips' fronts reach 6 mm into the gap beyond the footprint. The authors' world meets a
-# cylinder that overlaps a fingertip's edge with the normal of the tip's front face and so pushes it
-# out of the gap, where a disk on the plane would roll off the edge into the hand. Of 0 to 8 mm
-# tried, 6 halves the rollouts that end within reach here and not there, and 60 mm still fit.
+# The fingertips' fronts reach 6 mm further into the gap than the footprint. Where a cylinder
+# overlaps a fingertip's edge, the authors' world uses the normal of the tip's front face, and so
+# pushes the cylinder out of the gap; a disk on the plane would roll off the edge into the hand. Of
+# 0 to 8 mm tried, 6 mm halves the number of rollouts that reach the goal here and not there, and an
+# object of 60 mm still fits into the gap.
 # (link or "palm", x1, y1, x2, y2, radius) in the open hand, metres.
 CAPSULES: tuple[tuple[str, float, float, float, float, float], ...] = (
     ("palm", -0.0005, -0.0047, -0.0005, 0.0037, 0.0521),  # base
@@ -57,7 +62,7 @@ CAPSULES: tuple[tuple[str, float, float, float, float, float], ...] = (
     ("right_coupler", 0.1401, 0.0554, 0.1872, 0.0592, 0.0060),
     ("right_follower", 0.1930, 0.0335, 0.2300, 0.0312, 0.0032),  # the pad's inner face
     ("right_follower", 0.1850, 0.0534, 0.2179, 0.0362, 0.0080),  # its back
-    ("right_follower", 0.2313, 0.0242, 0.2313, 0.0350, 0.0020),  # its front, inset as said above
+    ("right_follower", 0.2313, 0.0242, 0.2313, 0.0350, 0.0020),  # its front, see above
     ("right_spring", 0.1443, 0.0056, 0.1888, 0.0409, 0.0060),
     ("left_driver", 0.1361, -0.0669, 0.1356, -0.0405, 0.0099),
     ("left_coupler", 0.1342, -0.0687, 0.1807, -0.0771, 0.0060),
@@ -69,19 +74,18 @@ CAPSULES: tuple[tuple[str, float, float, float, float, float], ...] = (
 RADII = np.array([c[5] for c in CAPSULES])  # [C] metres
 N_CAPSULES = len(CAPSULES)
 
-
-# Bodies of the model: the palm, and a body for each finger, which turns with the palm but whose
-# surface creeps (see below). [C] index into BODIES.
+# Bodies of the model: the palm, and one body for each finger, which turns with the palm but has a
+# surface velocity of its own (see `CREEP`).
 BODIES = ("palm", "right", "left")
-CAPSULE_BODY = np.array([BODIES.index(c[0].split("_")[0]) for c in CAPSULES])
+CAPSULE_BODY = np.array([BODIES.index(c[0].split("_")[0]) for c in CAPSULES])  # [C] into BODIES
 
 # In the authors' world the fingers' poses are set and their velocities zeroed before every substep,
 # while their links press on each other and on their joint limits. Within a substep they therefore
 # accelerate, and a contact feels that as a surface velocity: acceleration over the contact's
-# damping (b = 2 / (dmax timeconst) = 1000 / s there). It drags what touches an open finger's tip
-# outwards at up to 0.1 m/s, as fast as the hand moves. Measured there with the hand alone, the
-# follower link's twist: gripper, then (vx, vy, wz) at the hand's origin of the right and of the
-# left finger.
+# damping (b = 2 / (dmax timeconst) = 1000 / s there). It drags an object that touches an open
+# finger's tip outwards at up to 0.1 m/s, as fast as the hand moves. The table holds the follower
+# link's twist as measured there with the hand alone: gripper, then (vx, vy, wz) at the hand's
+# origin of the right and of the left finger.
 CREEP = np.array(
     [
         [0, 0.0736, -0.1937, 1.1814, 0.0936, 0.1904, -1.2110],
@@ -98,13 +102,16 @@ CREEP = np.array(
 
 
 def creep(gripper: Any, xp: ModuleType = np) -> Any:
-    """[6] surface twist (m/s, m/s, rad/s) of right, then left finger in the hand's frame."""
+    """Surface velocity of the fingers: [6] twist (m/s, m/s, rad/s) of right, then left finger.
+
+    Both are in the hand's frame and interpolated from the table `CREEP`.
+    """
     knots, values = xp.asarray(CREEP[:, 0]), xp.asarray(CREEP[:, 1:])
     return xp.stack([xp.interp(gripper, knots, values[:, i]) for i in range(values.shape[1])])
 
 
 def capsule_segments(gripper: Any, xp: ModuleType = np) -> Any:
-    """The capsules' axes in the hand's frame.
+    """Axes of the capsules in the hand's frame.
 
     Args:
       gripper: scalar, 0 (open) .. 255 (closed).
@@ -131,7 +138,7 @@ def capsule_segments(gripper: Any, xp: ModuleType = np) -> Any:
 
 
 def capsule_poses(gripper: Any, xp: ModuleType = np) -> tuple[Any, Any]:
-    """The capsules' geoms in the hand's frame: [C, 3] positions, [C, 4] quaternions (wxyz)."""
+    """Poses of the capsules in the hand's frame: [C, 3] positions, [C, 4] quaternions (wxyz)."""
     ends = capsule_segments(gripper, xp)
     middle, along = ends.mean(1), ends[:, 1] - ends[:, 0]
     along = along / xp.sqrt((along**2).sum(-1, keepdims=True))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-# It prints that Warp, an optional backend, is absent.
+# The import prints that Warp, an optional backend, is absent.
 with contextlib.redirect_stdout(io.StringIO()):
     from mujoco import mjx
 
@@ -50,7 +50,7 @@ class MjxEngine:
         self._batched = jax.jit(jax.vmap(self._rollout, in_axes=(0, 0, 0, None)))
 
     def rollout(self, start: World, controls, gripper, substeps: int, wanted=None) -> Rollout:
-        """See `Engine.rollout`; all are computed, wanted or not."""
+        """See `Engine.rollout`; computes all rollouts, wanted or not."""
         return self._batched(start, controls, gripper, substeps)
 
     def _substep(self, data: mjx.Data, velocity: jax.Array, gripper: jax.Array) -> mjx.Data:

@@ -1,10 +1,10 @@
-"""The one planar MJCF, compiled once per (physics, number of objects): every engine's constants.
+"""The MuJoCo model of the planar world, which all engines share.
 
-The plane z = 0 seen from above: the hand is a kinematic body on two slides and a hinge (an armature
-so large that contacts cannot slow it; engines write its velocity), its fingers are bodies of the
-same kind whose joints stay at zero and only lend their surfaces a velocity (`hand.CREEP`). Finger
-poses follow the gripper through their geoms' poses. Objects are spheres on two slides, walls are
-planes. Table friction is the joints' frictionloss (D2).
+The world is the plane z = 0 seen from above. The hand is a kinematic body on two slides and a
+hinge: its armature is so large that contacts cannot slow it, and engines write its velocity. The
+fingers are bodies of the same kind; their joints stay at zero and only give their surfaces a
+velocity (`hand.CREEP`), and their geoms are posed by the gripper value. Objects are spheres on two
+slides, walls are planes. Table friction is the frictionloss of the objects' joints.
 """
 
 # MuJoCo's compiled modules come without type stubs.
@@ -26,16 +26,17 @@ HAND_DOFS = 3  # x, y, yaw
 # (x, y, yaw) of the right and the left finger: held at zero, only their speed counts
 FINGER_DOFS = 6
 KINEMATIC_DOFS = HAND_DOFS + FINGER_DOFS
-KINEMATIC_ARMATURE = 1e6  # 100 N then change the hand's velocity by 4e-5 m/s within a knot
+KINEMATIC_ARMATURE = 1e6  # 100 N change the hand's velocity by 4e-5 m/s within a knot
 
 # MuJoCo measures the solver's progress against the inertias of an island, and the hand's armature
-# is one of them: its default, 1e-8, stops with objects' accelerations off by up to a quarter, and
-# leaves them up to 11 mm away after 3 s. This one leaves 0.1 um, at the same speed.
+# is one of them: with the default tolerance, 1e-8, the solver stops while objects' accelerations
+# are off by up to a quarter, which is up to 11 mm after 3 s. This tolerance leaves 0.1 um, at the
+# same speed.
 SOLVER_TOLERANCE = 1e-8 / KINEMATIC_ARMATURE
 
 
 def mjcf(physics: Physics, n_objects: int) -> str:
-    """The model as MJCF text; the hand open, the objects in a row (positions come through qpos)."""
+    """Write the model as MJCF text; engines set the objects' positions through qpos."""
     soft = f'solref="{physics.solref_timeconst} 1" solimp="{physics.impedance} {physics.impedance}"'
     positions, quats = hand.capsule_poses(np.float64(0.0))
     lengths = np.linalg.norm(np.diff(hand.capsule_segments(np.float64(0.0)), axis=1)[:, 0], axis=-1)
@@ -63,7 +64,7 @@ def mjcf(physics: Physics, n_objects: int) -> str:
         for i in range(n_objects)
     )
     # Walls carry the hand's bit, so that hand and walls never meet: touching the shelf is a cost
-    # (c_s), computed from positions, and no use as a contact between two kinematic bodies.
+    # (c_s) that is computed from positions; a contact of two kinematic bodies would have no use.
     return f"""
 <mujoco model="planar">
   <option timestep="{physics.substep_s!r}" gravity="0 0 0" cone="pyramidal" jacobian="dense"
@@ -101,9 +102,9 @@ def mjcf(physics: Physics, n_objects: int) -> str:
 
 @functools.lru_cache(maxsize=8)
 def compile_model(physics: Physics, n_objects: int) -> mujoco.MjModel:
-    """Compile the planar model; treat the result as read-only (copy it before changing options)."""
+    """Compile the model, once per settings; copy the result before you change its options."""
     model = mujoco.MjModel.from_xml_string(mjcf(physics, n_objects))
-    # The broad phase boxes each body once; the fingers move, so a box holds every pose.
+    # The broad phase boxes each body once; the fingers move, so the box must hold every pose.
     for name in hand.BODIES:
         root = model.body_bvhadr[model.body(name).id]
         model.bvh_aabb[root] = np.array([0.1, 0.0, 0.0, 0.25, 0.2, 0.1])
@@ -116,7 +117,7 @@ def hand_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 
 def geom_bodies(model: mujoco.MjModel, n_objects: int) -> np.ndarray:
-    """[geoms] what each geom belongs to: 0..N-1 an object, N the hand, N+1 a wall."""
+    """[geoms] body number of each geom: 0..N-1 an object, N the hand, N+1 a wall."""
     codes = np.full(model.ngeom, n_objects + 1, np.int32)
     codes[hand_geoms(model)] = n_objects
     for i in range(n_objects):

@@ -1,4 +1,4 @@
-"""Engine `native`: MuJoCo's C engine in float64, batched on its own threads; the parity oracle."""
+"""Engine `native`: MuJoCo's C engine in float64 on its own threads; the reference for parity."""
 
 # MuJoCo's compiled modules come without type stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -19,7 +19,7 @@ JACOBIANS = {"dense": mujoco.mjtJacobian.mjJAC_DENSE, "sparse": mujoco.mjtJacobi
 
 
 class NativeEngine:
-    """MuJoCo C; each rollout is independent of the others, so `lanes` is only a size of calls."""
+    """MuJoCo's C engine. Rollouts do not depend on each other, so `lanes` only sizes the calls."""
 
     name = "native"
 
@@ -45,7 +45,7 @@ class NativeEngine:
         self._model.opt.solver = choice(self.name, "solver", solver, SOLVERS)
         self._model.opt.jacobian = choice(self.name, "jacobian", jacobian, JACOBIANS)
         self._model.opt.iterations, self._model.opt.tolerance = iterations, tolerance
-        # A diverged state stays non-finite instead of being replaced by the model's own.
+        # A diverged state stays non-finite; MuJoCo would reset it to the model's initial state.
         self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         if sleep:
             self._model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
@@ -83,7 +83,7 @@ class NativeEngine:
                 qvel[alive, :dofs] = speeds[alive]
                 batch.step(np.flatnonzero(alive))
             before = target
-            # As MuJoCo judges (nan compares false).
+            # MuJoCo's own test of a bad state (nan compares false).
             alive &= (np.abs(qpos) <= mujoco.mjMAXVAL).all(1)
             alive &= (np.abs(qvel) <= mujoco.mjMAXVAL).all(1)
             out.objects[alive, k] = qpos[alive, dofs:].reshape(-1, n, 2)

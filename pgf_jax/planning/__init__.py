@@ -1,1 +1,8 @@
-"""Planning: cost terms, nominal trajectories, updates and the planner (core 1)."""
+"""Planning: the paper's planner for many robots at once (Papallas & Dogar 2022, Alg. 1).
+
+Read `planner.py` first: a `Search` and the iterations that improve it. `cost.py` has the cost
+terms, `nominal.py` the initial trajectories, `config.py` the settings, and `types.py` the small
+types that other rooms share. `config.py` and `types.py` import no JAX.
+
+This room may import `physics` and the layers below it.
+"""

@@ -1,4 +1,4 @@
-"""Cost terms of a rollout (D3), for one rollout; the planner vmaps them.
+"""Cost terms of one rollout (Papallas & Dogar 2022); the planner vmaps them.
 
 Axes: T knots, N objects, C contact slots.
 """
@@ -17,16 +17,16 @@ SIDE_WALLS_FROM_X = 0.20  # m, where the shelf begins
 
 
 class Task(NamedTuple):
-    """What a segment is for."""
+    """Task of a segment: reach the goal, or push an object to a target."""
 
     goal: Array  # [] int32, the object to reach
     pushing: Array  # [] bool
     pushed: Array  # [] int32, q_o; any value while reaching
-    target: Array  # [2] m, where q_o shall come to
+    target: Array  # [2] m, where q_o is pushed to
 
 
 class Evaluation(NamedTuple):
-    """A rollout's cost and what it achieved."""
+    """Cost of a rollout, and whether the rollout is feasible."""
 
     total: Array  # []; +inf where the rollout is not finite
     terms: Array  # [5]: c_d (pushing: c_h), c_f, c_b, c_e, c_s
@@ -36,7 +36,7 @@ class Evaluation(NamedTuple):
 
 
 def rotation(yaw: jax.Array) -> jax.Array:
-    """[..., 2, 2] rotation matrices."""
+    """[..., 2, 2] rotation matrices of [...] angles."""
     c, s = jnp.cos(yaw), jnp.sin(yaw)
     return jnp.stack([jnp.stack([c, -s], -1), jnp.stack([s, c], -1)], -2)
 
@@ -49,12 +49,12 @@ def end_effector(hand_pose: jax.Array) -> jax.Array:
 
 
 def wrap(angle: jax.Array) -> jax.Array:
-    """The angle within (-pi, pi]."""
+    """Wrap an angle into (-pi, pi]."""
     return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))
 
 
 def reach_distance(hand_pose: jax.Array, objects: jax.Array, cost: Cost) -> jax.Array:
-    """d(o) = sqrt(|ee - o|^2 + (0.09 bearing)^2) of each object, m.
+    """Distance d(o) = sqrt(|ee - o|^2 + (0.09 bearing)^2) of each object, m.
 
     Takes [..., 3] hand poses and [..., N, 2] centres; returns [..., N].
     """
@@ -66,7 +66,7 @@ def reach_distance(hand_pose: jax.Array, objects: jax.Array, cost: Cost) -> jax.
 
 
 def force_cost(force: jax.Array, bodies: jax.Array, n_objects: int, cost: Cost) -> jax.Array:
-    """c_f of one knot from its contacts: [C] N and [C, 2] bodies.
+    """Force term c_f of one knot from its contacts: [C] N and [C, 2] bodies.
 
     `source`: per movable object and contact of it (a contact of two objects counts at both);
     `paper`: every contact once, no threshold.
@@ -85,7 +85,7 @@ def touches_shelf(hand_pose: jax.Array, gripper: jax.Array) -> jax.Array:
     a, b, radii = segments[:, 0], segments[:, 1], jnp.asarray(hand.RADII)
     back = jnp.maximum(a[:, 0], b[:, 0]) + radii > BACK_WALL_X
 
-    # Only what has entered the shelf can touch its sides: clip each axis to x >= the shelf's front.
+    # Only a part inside the shelf can touch its sides: clip each axis to x >= the shelf's front.
     def inside(p, q):
         outside = SIDE_WALLS_FROM_X - p[:, 0]
         along = q[:, 0] - p[:, 0]
@@ -99,7 +99,7 @@ def touches_shelf(hand_pose: jax.Array, gripper: jax.Array) -> jax.Array:
 
 
 def evaluate(rollout: Rollout, gripper: jax.Array, task: Task, cost: Cost) -> Evaluation:
-    """Cost of one rollout.
+    """Evaluate one rollout: its cost terms, and whether it is feasible.
 
     Args:
       rollout: unbatched ([T, N, 2] objects and so on).

@@ -1,4 +1,4 @@
-"""Nominal trajectories (D4): straight lines of the end effector, for one robot; no randomness."""
+"""Nominal trajectories: the end effector follows straight lines; for one robot, no randomness."""
 
 import jax
 import jax.numpy as jnp
@@ -25,10 +25,11 @@ def _follow(pose: jax.Array, waypoints: jax.Array, yaws: jax.Array, physics: Phy
 def reach(
     pose: jax.Array, objects: jax.Array, goal: jax.Array, physics: Physics, cost: Cost
 ) -> tuple[jax.Array, jax.Array]:
-    """Straight to 0.04 m short of the goal, turning by half the goal's angle.
+    """Nominal of a reach: straight to 0.04 m short of the goal, turning by half its angle.
 
-    The angle is the goal's against the pointing direction as seen from the robot's base point. The
-    base moves so that `ee` is on the line at every knot's end whatever the turn.
+    The angle is that between the goal and the pointing direction, as seen from the robot's base
+    point. The base moves so that `ee` is on the line at every knot's end, whatever the turn. The
+    hand is open in the last knots, and throughout where the goal is near.
 
     Args:
       pose: [3] hand pose at the start.
@@ -57,9 +58,10 @@ def reach(
 def push(
     pose: jax.Array, objects: jax.Array, pushed: jax.Array, target: jax.Array, physics: Physics
 ) -> tuple[jax.Array, jax.Array]:
-    """Half the knots to 0.07 m behind the object as seen from the target, half towards the target.
+    """Nominal of a push: half the knots to behind the object, half towards the target.
 
-    Args and returns as `reach`; `target` is [2] in metres, the hand is closed.
+    The hand goes to 0.07 m behind the object, as seen from the target, and stops 0.05 m before the
+    target. It is closed and does not turn. Args and returns as `reach`; `target` is [2] in metres.
     """
     t = physics.knots
     o = objects[pushed]

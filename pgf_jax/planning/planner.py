@@ -1,7 +1,8 @@
-"""The planner (Alg. 1, D4): init -> propose -> roll out -> absorb, until feasible. Core 1.
+"""The planner (Papallas & Dogar 2022, Alg. 1): noisy rollouts improve a trajectory.
 
-Functions are written for one robot and vmapped over L lanes at the edge; the physics in between is
-an engine's. A `Search` is one segment's state, a pytree of arrays; nothing in it is mutated.
+A search goes init -> propose -> roll out -> absorb, until its best trajectory is feasible.
+Functions are written for one robot and vmapped over L lanes at the edge; an engine does the physics
+in between. A `Search` is one segment's state, a pytree of arrays; nothing in it is mutated.
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,7 @@ WINNER = 1  # folded into an iteration's key for the draw of a random winner, ap
 
 
 class Search(NamedTuple):
-    """One segment's search. Shapes are one robot's; the planner stacks them over lanes."""
+    """State of one segment's search. Shapes are one robot's; the planner stacks them over lanes."""
 
     start: World  # where every rollout of the segment starts: [N, 2], [N, 2], [3], []
     task: Task
@@ -42,10 +43,10 @@ class Search(NamedTuple):
 
 
 class Rolled(NamedTuple):
-    """All that one iteration of one search rolls out.
+    """All rollouts of one iteration of one search.
 
-    R is K: the noisy trajectories; 1 at iteration 0: the nominal; with the update `stomp` one more,
-    the last: their blend.
+    R is K (the noisy trajectories), and 1 at iteration 0 (the nominal); the update `stomp` adds one
+    more, the last: their blend.
     """
 
     controls: Array  # [R, T, 3]
@@ -100,7 +101,7 @@ class BatchPlanner:
     # -- iterations -------------------------------------------------------------------------------
 
     def step(self, searches: Sequence[Search], keys: Sequence[np.ndarray]) -> list[Search]:
-        """One iteration of each search (its iteration 0, the nominal's rollout, where it has none).
+        """Do one iteration of each search; a search's iteration 0 rolls out its nominal.
 
         Args:
           searches: up to L segments, of any robots; the rest of the lanes is padded.
@@ -112,16 +113,16 @@ class BatchPlanner:
         return self._iterate(searches, keys)[0]
 
     def rolled(self, search: Search, key: np.ndarray) -> tuple[Search, Rolled]:
-        """One iteration of one search, and all that it rolls out.
+        """Do one iteration of one search, and return all its rollouts.
 
         Args:
           search: a segment.
           key: raw PRNG key ([2] uint32); consumed.
 
         Returns:
-          The search after it, as `step` returns it, bit for bit; and the rollouts that it was made
-          from. Their values are evaluated by a program of their own, so in the last bit they may
-          differ from those that the iteration went by.
+          The search after it, bit-equal to the result of `step`; and the iteration's rollouts.
+          Their values are computed by a program of their own, so they may differ in the last bit
+          from the values that the iteration used.
         """
         (after,), rounds = self._iterate([search], [key])
         batch = _stack(_pad([search], self.engine.lanes))
@@ -138,12 +139,12 @@ class BatchPlanner:
     def _iterate(
         self, searches: Sequence[Search], keys: Sequence[np.ndarray]
     ) -> tuple[list[Search], list[tuple[Array, Rollout]]]:
-        """The searches after an iteration; and [L, k, T, 3] controls, rollouts of each round."""
+        """The searches after an iteration, and each round's [L, k, T, 3] controls and rollouts."""
         lanes, k = self.engine.lanes, self.config.rollouts
         batch = _stack(_pad(searches, lanes))
         padded_keys = np.stack(_pad(keys, lanes))  # [L, 2]
         noisy = self._propose(batch, padded_keys)  # [L, K, T, 3]
-        # Neither the padding, nor the nominal more than once.
+        # Do not roll out the padding, nor the nominal more than once.
         used = np.arange(lanes) < len(searches)
         once = (np.asarray(batch.iteration)[:, None] >= 0) | (np.arange(k) == 0)
         rollout = self._roll(batch, noisy, used[:, None] & once)
@@ -160,10 +161,10 @@ class BatchPlanner:
         return _unstack(_to_host(after), len(searches)), rounds
 
     def retreat(self, searches: Sequence[Search]) -> list[World]:
-        """The worlds after each push was executed and the hand has retracted 0.07 m straight back.
+        """Worlds after each push was executed and the hand has retracted 0.07 m straight back.
 
-        The hand keeps its gripper and moves back along its pointing direction (D4). The push itself
-        has been rolled out: its end is the retreat's start.
+        The hand keeps its gripper and moves back along its pointing direction in 1 s (the published
+        source's retreat). The push itself has been rolled out: its end is the retreat's start.
         """
         lanes, k, physics = self.engine.lanes, self.config.rollouts, self.engine.physics
         substeps = round(RETREAT_S / physics.substep_s / physics.knots)
@@ -183,7 +184,7 @@ class BatchPlanner:
         return _unstack(worlds, len(searches))
 
     def _roll(self, batch: Search, controls: jax.Array, wanted: np.ndarray) -> Rollout:
-        """[L, k, T, 3] controls of a batch of searches -> [L, k, ...] rollouts, where wanted."""
+        """Roll out [L, k, T, 3] controls of a batch of searches where wanted; [L, k, ...]."""
         lanes, k = wanted.shape
         start = jax.tree.map(lambda x: np.repeat(np.asarray(x), k, 0), batch.start)
         gripper = np.repeat(np.asarray(batch.gripper), k, 0)
@@ -254,7 +255,7 @@ class BatchPlanner:
     ) -> tuple[Search, jax.Array]:
         """STOMP's update: noise weighted by exp(-h (S - min S) / (max S - min S)); [1, T, 3].
 
-        S is the whole trajectory's cost: most of it falls due at the last knot.
+        S is the whole trajectory's cost, since most of it arises at the last knot.
         """
         total = self._evaluate(search, rollout).total  # [K]
         finite = jnp.isfinite(total)
@@ -269,9 +270,10 @@ class BatchPlanner:
     def _absorb_one(
         self, search: Search, noisy: jax.Array, rollout: Rollout, key: jax.Array | None = None
     ) -> Search:
-        """The iteration's winner replaces the best where it is cheaper; then the stuck counter.
+        """Replace the best by the iteration's winner where it is cheaper; update the stuck counter.
 
-        The winner is the cheapest; with a key (the iteration's), perhaps a random one (D9).
+        The winner is the cheapest; with the iteration's key it may be a random one (the ablation
+        `random_winner`). The stuck counter is the published source's.
         """
         config = self.config
         values = self._evaluate(search, rollout)
@@ -313,7 +315,7 @@ class BatchPlanner:
         return jnp.where(replaced, drawn, winner)
 
     def _count(self, search: Search, finite: jax.Array, rollout: Rollout) -> Search:
-        """Count what is reported of [K] rollouts; iteration 0 rolls the nominal out K times."""
+        """Count non-finite and saturated rollouts among the K; at iteration 0 only the first."""
         full = (rollout.force > 0).all(-1).any(-1)  # [K]
         counted = (search.iteration >= 0) | (jnp.arange(len(full)) == 0)
         return search._replace(
@@ -329,7 +331,7 @@ class BatchPlanner:
 
 
 def start_world(positions: np.ndarray) -> World:
-    """The world as a task begins: robot at (0, 0, 0), hand open, objects ([N, 2], m) at rest."""
+    """World at a task's start: robot at (0, 0, 0), hand open, objects ([N, 2], m) at rest."""
     n = len(positions)
     return World(
         np.asarray(positions, np.float32),
@@ -359,8 +361,8 @@ def _to_host(tree):
     return jax.tree.map(np.asarray, tree)
 
 
-def _stack(search_cache: Sequence):
-    return jax.tree.map(lambda *xs: np.stack(xs), *search_cache)
+def _stack(trees: Sequence):
+    return jax.tree.map(lambda *xs: np.stack(xs), *trees)
 
 
 def _unstack(tree, count: int) -> list:

@@ -1,4 +1,4 @@
-"""What planner, operators and fleet say to each other; no JAX here, so that imports stay light."""
+"""Small types that planner, operators and fleet exchange; no JAX here, so that imports are fast."""
 
 import dataclasses
 import enum
@@ -7,7 +7,7 @@ LOOK_AHEAD = 10  # l, in reach iterations: how far on a gain is predicted, and h
 
 
 class Status(enum.StrEnum):
-    """How a task ended. Failure is data: nothing raises."""
+    """How a task ended. A failure is a result like any other, and raises nothing."""
 
     SOLVED = "solved"
     TIMED_OUT = "timed_out"
@@ -20,7 +20,8 @@ class Status(enum.StrEnum):
 class Push:
     """Human input: push object number `object` (0-based) until its centre is at (x, y), metres.
 
-    "Go on reaching", the other possible input, is `None`; that none came, `UNANSWERED`.
+    The other possible input, "go on reaching", is `None`; an operator who gave no input is
+    `UNANSWERED`.
     """
 
     object: int
@@ -29,7 +30,7 @@ class Push:
 
 
 class NoInput(enum.Enum):
-    """What comes of a service in which the operator says nothing."""
+    """Result of a service in which the operator gave no input."""
 
     UNANSWERED = "unanswered"
 

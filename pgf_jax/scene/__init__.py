@@ -1,12 +1,16 @@
-"""Scenes: the type and its checks, sampling, import of the authors' files, top-view drawing.
+"""Scenes: shelves full of cylinders, and how they are sampled, imported and drawn.
 
-Importing this needs NumPy only: matplotlib is imported when something is drawn, JAX when a typed
-key is given.
+Read `scene.py` first: the type `Scene` and its checks. `sampling.py` makes random scenes, `mjcf.py`
+imports the authors' published files, `statistics.py` describes sets of scenes, and `draw.py` draws
+the view from above.
+
+Importing this room needs NumPy only: matplotlib is imported when a scene is drawn, JAX when a typed
+key is given. It may import `parallel` and the layers below it.
 """
 
 from pgf_jax.scene.draw import draw_scene, save_top_view
 from pgf_jax.scene.mjcf import load_scene, load_scenes
-from pgf_jax.scene.sampling import PRESETS, sample_scene
+from pgf_jax.scene.sampling import PRESETS, SceneClass, sample_scene
 from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, HEIGHT, RADIUS, SIDE_WALL_Y, Scene, validate
 from pgf_jax.scene.statistics import (
     START_EE,
@@ -27,6 +31,7 @@ __all__ = [
     "SIDE_WALL_Y",
     "START_EE",
     "Scene",
+    "SceneClass",
     "SceneStatistics",
     "corridor_count",
     "corridor_mask",

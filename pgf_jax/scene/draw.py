@@ -1,4 +1,4 @@
-"""A scene from above: x (into the shelf) points up, y (left) to the left, as the robot sees it."""
+"""Draws a scene from above: x (into the shelf) points up, y to the left, as the robot sees it."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """Import of the authors' published scene files (MJCF).
 
 A scene file holds its objects as bodies `object_1`, `object_2`, ... of the worldbody, each one
-upright cylinder on a free joint, and draws shelf and robot from includes. Only the objects are
-read: the shelf and the robot are the planar model's own, so no include is opened, and none need be
-there. What a file leaves out (mass, friction, the joint's damping) is taken to be the published
-objects'; what it says otherwise is refused, because the planar model would not simulate it.
+upright cylinder on a free joint, and takes shelf and robot from includes. Only the objects are
+read: the planar model has its own shelf and robot, so includes are not opened and may be missing.
+Values that a file leaves out (mass, friction, the joint's damping) are those of the published
+objects. A file with other values is refused, because the planar model would not simulate them.
 """
 
 import math
@@ -20,7 +20,7 @@ from pgf_jax.scene.scene import HEIGHT, RADIUS, Scene
 
 GOAL_BODY = "object_3"
 
-# Of MJCF's ways to turn a body only `quat` is read: the published files use no other.
+# Other ways of MJCF to turn a body. Only `quat` is read: the published files use no other.
 _OTHER_ORIENTATIONS = ("axisangle", "euler", "xyaxes", "zaxis")
 _WHAT = "a scene file (MJCF)"
 _LARGEST = 4 * MIB  # of a file; the published ones take 10 kB
@@ -48,7 +48,7 @@ def load_scene(path: str | Path) -> Scene:
 
     Raises:
       BadInput: the file is missing, malformed, or holds what the planar model does not simulate
-        (anything but upright cylinders of radius 0.03 m and height 0.10 m, mass 1 kg and friction
+        (anything but upright cylinders of radius 0.03 m, height 0.10 m, mass 1 kg and friction
         0.3, clear of each other and on the shelf). The message is one line with the file, the
         value and what was expected.
 
@@ -114,7 +114,7 @@ def _read(content: bytes, name: str) -> Scene:
 def _parse(content: bytes) -> ET.Element:
     try:
         root = ET.fromstring(content)
-    # Besides its own error, the parser lets those of the text decoding through.
+    # The parser also lets errors of the text decoding through.
     except (ET.ParseError, ValueError, LookupError) as error:
         raise BadInput(f"not well-formed XML ({error}); expected {_WHAT}") from None
     if root.tag != "mujoco":
@@ -144,7 +144,7 @@ def _object_bodies(root: ET.Element) -> dict[int, ET.Element]:
 
 
 def _check_object(body: ET.Element, name: str) -> None:
-    """Refuse whatever is not one upright standard cylinder on a free joint."""
+    """Refuse a body that is not one upright standard cylinder on a free joint."""
     for child in body:
         if child.tag not in _BODY_CHILDREN:
             raise BadInput(f"{name} holds <{child.tag}>; expected one geom and one free joint")
@@ -188,7 +188,7 @@ def _check_upright(body: ET.Element, name: str) -> None:
     if body.get("quat") is None:
         return
     quat = _numbers(body, "quat", name)
-    norm = math.hypot(*quat)  # inf, and nothing raised, where their squares are too large
+    norm = math.hypot(*quat)  # inf where the squares are too large; nothing is raised
     if len(quat) != 4 or not 1e-6 <= norm < math.inf:
         raise BadInput(f"{name} has quat {body.get('quat')!r}; expected four numbers, not all 0")
     # The z axis of the body, seen from the world: its z component is the cosine of the tilt.

@@ -2,21 +2,21 @@
 
 Twenty cylinders are packed one after another: a place is drawn uniformly in the class's rectangle
 and kept if it is 0.060 m or more from every centre before it (random sequential packing). This
-alone reproduces how the published scenes are spaced; what makes a class is the rectangle and
-where its goal stands, so the goal is drawn first and the others around it. The classes:
+alone reproduces the spacing of the published scenes. Classes differ in their rectangle and in where
+the goal stands, so the goal is drawn first and the others around it. The classes:
 
 * `tight` (published warehouse_1..1000): a dense rectangle, 0.25 m by 0.40 m, with the goal in its
-  back row and never a free straight way to it (a scene without an object in the straight corridor
-  would be drawn again; in 60,000 scenes there was none).
+  back row and at least one object in the straight corridor to it (a scene without one would be
+  drawn again; in 60,000 scenes there was none).
 * `wide` (2001..3000): the rectangle is the shelf, and the goal may stand anywhere in it.
-* `medium` (1001..2000): one or the other, about half each. The published files are such a
+* `medium` (1001..2000): tight or wide, about half each. The published files are such a
   mixture: 1001..1020 and 1250 lie in the tight rectangle, 1600 and 1900 in the wide one, and the
   quantiles of the whole thousand are those of half and half.
 
 Statistics of 1,000 sampled scenes a class (seeds 0..999; `experiments/scene_statistics.py`) and of
 the 1,000 published ones; nearest neighbours of 20 published scenes a class, of which the medium
 20 are all of the tight half. Over 4,000 other seeds `medium` gives 0.280, 0.473, 0.523 and 2.9:
-its 5 % quantile is steep, since few goals stand that near the front.
+its 5 % quantile varies much between samples, since few goals stand that near the front.
 
                        goal x (m)           deeper    corridor   nearest neighbour (mm)
                        5, 50, 95 %          5, 95 %   mean       5, 50, 95 %
@@ -31,7 +31,7 @@ its 5 % quantile is steep, since few goals stand that near the front.
 import bisect
 import itertools
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Union
+from typing import TYPE_CHECKING, Literal, Union, get_args
 
 import numpy as np
 
@@ -42,7 +42,8 @@ from pgf_jax.scene.statistics import corridor_count
 if TYPE_CHECKING:
     import jax
 
-PRESETS = ("tight", "medium", "wide")  # the order is part of the random stream: append only
+SceneClass = Literal["tight", "medium", "wide"]
+PRESETS: tuple[SceneClass, ...] = get_args(SceneClass)  # the order decides the draws: append only
 OBJECTS = 20
 GOAL = 2  # object_3, as in the published scenes
 MIN_SPACING = 2 * RADIUS

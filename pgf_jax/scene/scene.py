@@ -1,4 +1,4 @@
-"""A scene: upright cylinders on a shelf, one of them the goal, seen as disks on a plane."""
+"""The type `Scene`: upright cylinders on a shelf, one of them the goal, and its checks."""
 
 import dataclasses
 import operator
@@ -8,19 +8,19 @@ import numpy as np
 from pgf_jax.errors import BadInput, short_repr
 
 # The shelf and its objects, as measured on the published scenes. Metres; x into the shelf, y left.
-FRONT_X = 0.20  # the table's front edge: a centre before it would stand on air
+FRONT_X = 0.20  # the table's front edge: an object with its centre before it would fall
 BACK_WALL_X = 0.59
 SIDE_WALL_Y = 0.40
 RADIUS = 0.03
 HEIGHT = 0.10
 # The published scenes hold pairs whose centres are 0.060 m apart to within rounding.
 OVERLAP_TOLERANCE = 5e-4
-MOST_OBJECTS = 120  # packed as hexagons 108 find room
+MOST_OBJECTS = 120  # hexagonal packing has room for 108
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene:
-    """One shelf, as it stands before the robot moves.
+    """A shelf before the robot moves; objects are seen as disks on a plane.
 
     Attributes:
       name: the file's stem, or the preset and seed; names the plan file.
@@ -38,7 +38,7 @@ class Scene:
     def __post_init__(self) -> None:
         try:
             objects = np.array(self.objects, dtype=np.float64)
-        except (TypeError, ValueError, OverflowError):  # of a whole number of hundreds of digits
+        except (TypeError, ValueError, OverflowError):  # an int of hundreds of digits overflows
             raise BadInput(
                 f"scene {self.name}: objects must be numbers [N, 3] (x, y, radius), "
                 f"got {short_repr(self.objects)}"
@@ -112,6 +112,6 @@ def validate(scene: Scene) -> None:
 
 
 def class_of(scene: Scene) -> str:
-    """The class that a sampled scene's name begins with; `file` for others."""
+    """Class of a sampled scene, which its name begins with; `file` for other scenes."""
     head = scene.name.split("_")[0]
     return head if head in ("tight", "medium", "wide") else "file"

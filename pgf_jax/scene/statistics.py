@@ -1,4 +1,4 @@
-"""What describes a class of scenes: where the goal stands, and how much stands around it."""
+"""Statistics of scenes: where the goal stands, and how much stands around it."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ CORRIDOR_END_GAP = 0.01  # the corridor ends this far before the goal's centre, 
 
 
 def corridor_mask(scene: Scene, ee: tuple[float, float] = START_EE) -> np.ndarray:
-    """Which objects have their centre in the straight corridor from the hand to the goal.
+    """Mark the objects whose centre is in the straight corridor from the hand to the goal.
 
     The corridor runs from `ee` to 0.01 m before the goal's centre, 0.065 m to either side.
 
@@ -86,7 +86,7 @@ class SceneStatistics:
 
 
 def scene_statistics(scenes: Sequence[Scene]) -> SceneStatistics:
-    """Describe a set of scenes; BadInput if it is empty."""
+    """Compute the statistics of a set of scenes; BadInput if it is empty."""
     if not scenes:
         raise BadInput("scene statistics: expected at least one scene, got none")
     x = np.concatenate([s.positions[:, 0] for s in scenes])

@@ -1,7 +1,7 @@
-"""Fitting of one predictor to rows (Papallas & Dogar 2022, Alg. 3).
+"""Fits one predictor to training rows (Papallas & Dogar 2022, Alg. 3).
 
-Adam on the RMSE (or another loss) of batches of 50 rows, an epoch at a time in one compiled scan;
-early stopping on the held-out scenes, with the best weights kept.
+Adam minimises the RMSE (or another loss) over batches of 50 rows; each epoch is one compiled scan.
+Training stops early by the loss on held-out scenes, and the best weights are kept.
 """
 
 import dataclasses
@@ -18,23 +18,23 @@ from pgf_jax.guidance.predictors.network import Predictor, combine, forward, ini
 from pgf_jax.training.config import Loss, TrainConfig
 from pgf_jax.training.rows import Rows, split_by_scene
 
-# Below this the square root's slope is taken as 0: at an exact fit it would be infinite.
+# Mean squares below this have slope 0: at an exact fit the square root's slope would be infinite.
 _MIN_SQUARE = 1e-12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trained:
-    """A trained predictor and how it got there.
+    """A trained predictor, and its losses.
 
     Attributes:
       predictor: with the weights of the best epoch.
       loss_train: [E] loss over all rows for training at the end of each epoch, in units of the
-        target; of an ensemble, its first member's, like the next two.
+        target. `loss_train`, `loss_val` and `best_epoch` of an ensemble are its first member's.
       loss_val: [E] the same over the rows of the held-out scenes.
-      best_epoch: 0-based; the first epoch with the lowest `loss_val`.
+      best_epoch: the first epoch with the lowest `loss_val`, 0-based.
       kept_train: loss of `predictor` on the rows for training.
       kept_val: loss of `predictor` on the held-out rows.
-      target_std_val: standard deviation of the held-out targets, what a constant would score.
+      target_std_val: standard deviation of the held-out targets: the RMSE of a constant.
       scenes_train: scenes in the rows for training.
       scenes_val: scenes held out.
     """
@@ -56,7 +56,7 @@ class _State(NamedTuple):
 
 
 def rmse(predictor: Predictor, features: jax.Array, target: jax.Array) -> jax.Array:
-    """Root mean squared error over rows, [M, F] and [M] -> [], units of the target."""
+    """Root mean squared error over rows: [M, F] and [M] -> [], in units of the target."""
     return _loss(_predict(predictor, features), target, jnp.ones_like(target), "rmse")
 
 
@@ -91,7 +91,7 @@ def _epoch(
     *,
     config: TrainConfig,
 ) -> tuple[Predictor, Any]:
-    """One pass over the rows in a fresh order; the key is consumed."""
+    """Do one pass over the rows in a new random order; the key is consumed."""
     rows = len(y)
     batches = -(-rows // config.batch)
     key_order, key_dropout = jax.random.split(key)
@@ -139,17 +139,17 @@ def fit(key: jax.Array, rows: Rows, config: TrainConfig) -> Trained:
     train, val = split_by_scene(rows.scene, fraction=config.validation_fraction, seed=config.seed)
     members = []
     for key_member in jax.random.split(key, config.members):
-        attempts = [
-            _fit_once(restart, rows, train, val, config)
-            for restart in jax.random.split(key_member, config.restarts)
+        restarts = [
+            _fit_once(key_restart, rows, train, val, config)
+            for key_restart in jax.random.split(key_member, config.restarts)
         ]
-        finite = [attempt for attempt in attempts if np.isfinite(attempt.kept_val)]
+        finite = [trained for trained in restarts if np.isfinite(trained.kept_val)]
         if not finite:
             raise BadInput(
                 f"training diverged with learning_rate {config.learning_rate:g}, "
                 "expected a smaller one"
             )
-        members.append(min(finite, key=lambda attempt: attempt.kept_val))
+        members.append(min(finite, key=lambda trained: trained.kept_val))
     predictor = combine([member.predictor for member in members])
     kept = [float(_loss_of(predictor, *_to_jax(rows, part), config.loss)) for part in (train, val)]
     return dataclasses.replace(
@@ -160,7 +160,7 @@ def fit(key: jax.Array, rows: Rows, config: TrainConfig) -> Trained:
 def _fit_once(
     key: jax.Array, rows: Rows, train: np.ndarray, val: np.ndarray, config: TrainConfig
 ) -> Trained:
-    # What `_epoch` does not depend on must not have it compiled again.
+    # Settings that `_epoch` does not use must not make it compile again.
     config = dataclasses.replace(config, seed=0, restarts=1, members=1)
     key_init, key = jax.random.split(key)
     predictor = init(

@@ -1,19 +1,19 @@
-"""How runs become training rows for the predictors (Papallas & Dogar 2022, Alg. 3).
+"""Training rows of the predictors, made of runs and forks (Papallas & Dogar 2022, Alg. 3).
 
-A *training row* is taken at the end of a reach iteration, the moment at which a robot bids:
+A row of a run is taken at the end of a reach iteration, which is when a robot bids:
 
-- Features, 10 numbers: N, then (c_d, c_f, c_b) after each of the last P = 3 iterations of the
-  segment in time order, iteration 0 excluded; so the third iteration of a segment is the first
-  with features.
+- Features, 10 numbers (`predictors.features`): N, then (c_d, c_f, c_b) after each of the last P = 3
+  iterations of the segment in time order, iteration 0 excluded; so the third iteration of a segment
+  is the first with features.
 - Target: c_d + c_f + c_b of the best trajectory l = 10 reach iterations later. Neither iterations
   of pushes nor iteration 0 of a segment count (an iteration 0 tries nothing); a run that ends
   earlier is carried forward with its last reach cost.
-- No row at or after the iteration that solves the task: nothing is asked then.
+- There is no row at or after the iteration that solves the task, since no robot bids then.
 
-`autonomous_rows` takes one row at every reach iteration of runs without help, `human_rows` one at
-the iteration before each human input; a further input among the 10 iterations is part of what
-that help led to. `PUBLISHED` is the published code's rule in place of the paper's (D6), for an
-ablation.
+`autonomous_rows` takes a row at every reach iteration of runs without help. `human_rows` takes one
+at the iteration before each human input; a further input within the 10 iterations counts as a
+result of the first. `failure_rows` and `gain_rows` have other targets. `PUBLISHED` is the published
+code's rule in place of the paper's, for an ablation.
 """
 
 import dataclasses
@@ -32,14 +32,14 @@ from pgf_jax.tables.runs import RUN, check_unhelped
 
 @dataclasses.dataclass(frozen=True)
 class Rule:
-    """How rows are made of runs; the default is the paper's.
+    """Rule for making rows of runs; the default is the paper's.
 
     Attributes:
       look_ahead: l, in reach iterations.
       carried: a run that ends earlier is carried forward with its last reach cost; otherwise it
-        gives no row there, so that what is learned is learned from the slow runs only.
-      ring: the history is read as it lies in a buffer of P places that is written round and round:
-        out of time order but at every third iteration.
+        gives no row there, so that the predictor learns from the slow runs only.
+      ring: the history has the order of a ring buffer of P places: the order of time at every
+        third iteration only.
     """
 
     look_ahead: int = LOOK_AHEAD
@@ -48,14 +48,12 @@ class Rule:
 
 
 PAPER = Rule()
-
-
 PUBLISHED = Rule(look_ahead=11, carried=False, ring=True)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rows:
-    """Training rows.
+    """Training rows, M of them.
 
     Attributes:
       features: [M, F] float64, in the order of `names`.
@@ -65,7 +63,7 @@ class Rows:
       iteration: [M] int64, the iteration (over the run) at whose end the row is taken.
       non_finite: rows left out because a feature or the target is not finite.
       short: human inputs without a row, because fewer than P iterations came before them.
-      names: of the features.
+      names: names of the features.
     """
 
     features: np.ndarray  # [M, F]
@@ -78,7 +76,7 @@ class Rows:
     names: tuple[str, ...] = FEATURES
 
     def only(self, names: tuple[str, ...]) -> "Rows":
-        """The same rows with some of the features."""
+        """Return the same rows with only the named features."""
         columns = [self.names.index(name) for name in names]
         return dataclasses.replace(self, features=self.features[:, columns], names=names)
 
@@ -97,7 +95,7 @@ class _Run:
 
 
 def autonomous_rows(frame: pl.DataFrame, rule: Rule = PAPER) -> Rows:
-    """A row at the end of every reach iteration with enough history, of runs without help.
+    """Make a row at the end of every reach iteration with enough history, of runs without help.
 
     Args:
       frame: runs as `read_runs` returns them.
@@ -114,13 +112,13 @@ def autonomous_rows(frame: pl.DataFrame, rule: Rule = PAPER) -> Rows:
 
 
 def failure_rows(frame: pl.DataFrame, rule: Rule = PAPER) -> Rows:
-    """`autonomous_rows`, with 1 for a target where the task is still unsolved then, and else 0."""
+    """Make `autonomous_rows` with another target: 1 where the task is unsolved then, else 0."""
     rows = autonomous_rows(frame, rule)
     return dataclasses.replace(rows, target=rows.unsolved.astype(np.float64))
 
 
 def human_rows(frame: pl.DataFrame, rule: Rule = PAPER) -> Rows:
-    """A row for each human input, at the end of the iteration before it.
+    """Make a row for each human input, at the end of the iteration before it.
 
     Args:
       frame: runs as `read_runs` returns them.
@@ -135,16 +133,31 @@ def human_rows(frame: pl.DataFrame, rule: Rule = PAPER) -> Rows:
     return dataclasses.replace(rows, short=missing)
 
 
+def gain_rows(frame: pl.DataFrame) -> Rows:
+    """Make a row for each forked state: its features, with its true gain as the target."""
+    forks = forks_of(frame)
+    states = frame.select(FORK).unique().height
+    return Rows(
+        features=forks.state,
+        target=forks.gain,
+        unsolved=np.ones(len(forks.gain), bool),
+        scene=forks.scene.astype(np.str_),
+        iteration=forks.iteration,
+        non_finite=states - len(forks.gain),
+        names=STATE,
+    )
+
+
 def _before_inputs(run: _Run) -> np.ndarray:
     # Input before the very first iteration gives -1: it has no history at all.
     return np.flatnonzero(run.asked_before) - 1
 
 
 def _rows(frame: pl.DataFrame, moments: Callable[[_Run], np.ndarray], rule: Rule) -> Rows:
-    """Rows at those of `moments(run)` (iterations) that have features and are not solved."""
+    """Make rows at the iterations `moments(run)` that have features and are not solved."""
     features, target, unsolved, scene, iteration = [], [], [], [], []
     for run in _split_runs(frame):
-        with np.errstate(over="ignore"):  # terms may be finite and their sum not: no row then
+        with np.errstate(over="ignore"):  # finite terms may have an infinite sum: no row then
             cost = run.terms.sum(axis=1)  # [I]
         reach = np.flatnonzero(run.reach)
         counted = np.cumsum(run.reach & (run.local > 0))  # [I] reach iterations so far
@@ -205,7 +218,7 @@ def split_by_scene(
     Args:
       scene: [M] the scene of each row.
       fraction: share of the scenes for validation, in (0, 1); at least one, and not all.
-      seed: another seed is another split.
+      seed: another seed gives another split.
 
     Returns:
       Indices of the rows for training and of those for validation, ascending.
@@ -220,18 +233,3 @@ def split_by_scene(
     held_out = min(max(round(fraction * len(names)), 1), len(names) - 1)
     validation = np.isin(scene, names[:held_out])
     return np.flatnonzero(~validation), np.flatnonzero(validation)
-
-
-def gain_rows(frame: pl.DataFrame) -> Rows:
-    """A row for each state: its description, and its true gain for a target."""
-    forks = forks_of(frame)
-    states = frame.select(FORK).unique().height
-    return Rows(
-        features=forks.state,
-        target=forks.gain,
-        unsolved=np.ones(len(forks.gain), bool),
-        scene=forks.scene.astype(np.str_),
-        iteration=forks.iteration,
-        non_finite=states - len(forks.gain),
-        names=STATE,
-    )

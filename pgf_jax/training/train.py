@@ -1,8 +1,7 @@
-"""Training of the predictors on a folder of collected data (Papallas & Dogar 2022, Alg. 3)."""
+"""Trains the predictors on a folder of collected data (Papallas & Dogar 2022, Alg. 3)."""
 
 import dataclasses
 import hashlib
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from pgf_jax.errors import BadInput
-from pgf_jax.files import write_atomically
+from pgf_jax.files import png, write_atomically
 from pgf_jax.guidance.predictors import checkpoint as ckpt
 from pgf_jax.tables.forks import read_forks
 from pgf_jax.tables.runs import Mode, read_runs, runs_path
@@ -26,14 +25,14 @@ FIGURE = "fig3.png"
 
 @dataclasses.dataclass(frozen=True)
 class Recipe:
-    """How a network is trained.
+    """Recipe for training a network.
 
     Attributes:
-      mode: the data that it needs.
-      read: reads its file.
-      rows: makes rows of it.
-      settings: what differs from the configuration.
-      optional: left out where its data are not there.
+      mode: the kind of data that the network is trained on.
+      read: reads the file of data.
+      rows: makes training rows of the data.
+      settings: settings that replace those of the configuration.
+      optional: the network is left out where its data do not exist.
     """
 
     mode: Mode
@@ -57,13 +56,13 @@ RECIPES = {
 
 
 def train(data_dir: Path | str, out_dir: Path | str, config: TrainConfig) -> dict[str, Any]:
-    """Train all networks on collected data and write what comes of it.
+    """Train all networks on collected data, and write their checkpoints and figure 3.
 
     Args:
       data_dir: holds `autonomous/runs.parquet` and `human/runs.parquet`, and, for `gain`,
         `forks/forks.parquet`.
       out_dir: gets a checkpoint of each network and `fig3.png` once all are trained.
-      config: settings; what a network has of its own (`RECIPES`) comes before them.
+      config: settings; a network's own settings (`RECIPES`) replace them.
 
     Returns:
       For each network: runs (scenes with data), scenes (with rows), rows, rows left out
@@ -105,14 +104,14 @@ def train(data_dir: Path | str, out_dir: Path | str, config: TrainConfig) -> dic
 
 
 def fit_network(network: str, rows: Rows, config: TrainConfig) -> Trained:
-    """Train one network by its recipe; the seed of `config` decides all that is drawn."""
+    """Train one network by its recipe; the seed of `config` decides all random draws."""
     settings = dataclasses.replace(config, **RECIPES[network].settings)
     key = jax.random.fold_in(jax.random.key(config.seed), ckpt.NETWORKS.index(network))
     return fit(key, rows, settings)
 
 
 def report_of(done: Trained, rows: Rows) -> dict[str, Any]:
-    """Counts and figures of a trained network, fit for JSON; see `train`."""
+    """Counts and losses of a trained network, fit for JSON; see `train`."""
     return {
         "scenes": done.scenes_train + done.scenes_val,
         "rows": len(rows.target),
@@ -129,7 +128,7 @@ def report_of(done: Trained, rows: Rows) -> dict[str, Any]:
 def save(
     out: Path, network: str, done: Trained, about: dict[str, Any], config: TrainConfig
 ) -> None:
-    """Write the checkpoint of a network; `about` as in `train`."""
+    """Write the checkpoint of a network; `about` is its part of the report of `train`."""
     settings = dataclasses.replace(config, **RECIPES[network].settings)
     figures = ("loss_train", "loss_val", "target_std_val", "epochs", "best_epoch")
     checkpoint = ckpt.Checkpoint(
@@ -145,25 +144,23 @@ def save(
 
 
 def draw_losses(results: dict[str, Sequence[Trained]]) -> bytes:
-    """Figure 3: training and validation loss by epoch, as a PNG.
+    """Draw figure 3, training and validation loss by epoch, as a PNG.
 
     Args:
-      results: of each network, trained with one seed or several; the first one's best is marked.
+      results: each network, trained with one seed or several; the first one's best is marked.
     """
     figure = Figure(figsize=(4.2 * len(results), 3.4), layout="constrained")
     axes = figure.subplots(1, len(results), squeeze=False)[0]
     for ax, (network, runs) in zip(axes, results.items(), strict=True):
         for i, done in enumerate(runs):
             epochs, faint = np.arange(1, len(done.loss_val) + 1), 1.0 if i == 0 else 0.3
-            words = (None, None) if i else ("training", "validation")
-            ax.plot(epochs, done.loss_train, color="C0", alpha=faint, label=words[0])
-            ax.plot(epochs, done.loss_val, color="C1", alpha=faint, label=words[1])
+            labels = (None, None) if i else ("training", "validation")
+            ax.plot(epochs, done.loss_train, color="C0", alpha=faint, label=labels[0])
+            ax.plot(epochs, done.loss_val, color="C1", alpha=faint, label=labels[1])
         kept = runs[0].best_epoch
         label = f"kept: RMSE {runs[0].loss_val[kept]:.1f}"
         ax.axvline(kept + 1, color="0.6", linestyle=":", label=label)
         ax.set(title=network, xlabel="epoch", ylabel="RMSE (units of cost)")
         ax.set_ylim(bottom=0)
         ax.legend()
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150)
-    return buffer.getvalue()
+    return png(figure)

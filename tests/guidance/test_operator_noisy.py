@@ -23,7 +23,7 @@ from pgf_jax.planning.types import Push
 from pgf_jax.scene import sample_scene
 
 KNOTS = 8
-AT = (7, 1, 2, 5)  # seed, robot, task, iterations that have ended
+DECISION = (7, 1, 2, 5)  # seed, robot, task, iterations that have ended
 # The goal is nearest to object 1, then 2, then 3.
 OBJECTS = [(0.36, 0.05), (0.36, -0.02), (0.42, -0.10), (0.50, 0.20)]
 MEANT = Push(1, 0.41, -0.02)
@@ -47,7 +47,7 @@ def shelf(objects=OBJECTS, goal=0) -> View:
     )
 
 
-def turns(count):
+def decisions(count):
     return [(seed, robot, 3, i) for seed in range(2) for robot in range(5) for i in range(count)]
 
 
@@ -55,96 +55,98 @@ def distance(one: Push, other: Push) -> float:
     return math.hypot(one.x - other.x, one.y - other.y)
 
 
-# -- what it deliberates -------------------------------------------------------------------------
+# -- what it starts from -------------------------------------------------------------------------
 
 
 @pytest.fixture
-def imagined(monkeypatch):
+def simulated(monkeypatch):
     """Trials without rollouts: a push is the better the deeper it ends, going on costs `go_on`."""
     costs = {"go_on": 0.5}
 
-    def attempt(planner, search, push, words, **limits):
+    def simulate_input(planner, search, push, key_paths, **limits):
         total = costs["go_on"] if push is None else 0.6 - push.x
         return Trial(total, total, False, 1, push is not None)
-        yield  # what makes it a deliberation
+        yield  # makes it a coroutine
 
-    monkeypatch.setattr(heuristic, "attempt", attempt)
+    monkeypatch.setattr(heuristic, "simulate_input", simulate_input)
     return costs
 
 
-def said(operator, view: View, at=AT):
+def said(operator, view: View, decision_key=DECISION):
     """What an operator says that asks for no rollouts."""
     with pytest.raises(StopIteration) as end:
-        next(operator.deliberate(view, None, None, at))
+        next(operator.deliberate(view, None, None, decision_key))
     return end.value.value
 
 
 @pytest.mark.parametrize("preset", ["tight", "medium", "wide"])
-def test_without_errors_it_is_the_heuristic(imagined, preset):
+def test_without_errors_it_is_the_heuristic(simulated, preset):
     for seed in range(5):
         scene = sample_scene(seed, preset)
         view = shelf(scene.positions, scene.goal)
         meant = said(HeuristicOperator(), view)
         assert meant is not None
         assert said(NoisyOperator(wrong=0, misplaced=0), view) == meant
-        # With both, it is the heuristic's input with the errors of that turn.
+        # With both, it is the heuristic's input with the errors of that decision.
         operator = NoisyOperator(wrong=1, misplaced=1)
-        assert said(operator, view) == operator.err(meant, view, AT)
+        assert said(operator, view) == operator.with_errors(meant, view, DECISION)
         assert said(operator, view).object not in (meant.object, scene.goal)
 
 
-def test_going_on_stays_going_on(imagined):
+def test_going_on_stays_going_on(simulated):
     operator = NoisyOperator(wrong=1, misplaced=1)
     assert said(operator, shelf()) is not None
-    imagined["go_on"] = 0.0
-    assert [said(operator, shelf(), at) for at in turns(20)] == [None] * 200
+    simulated["go_on"] = 0.0
+    assert [said(operator, shelf(), key) for key in decisions(20)] == [None] * 200
 
 
 # -- errors --------------------------------------------------------------------------------------
 
 
 def test_the_wrong_object_is_the_nearest_other_one_and_moves_as_far():
-    push = NoisyOperator(wrong=1, misplaced=0).err(MEANT, shelf(), AT)
+    push = NoisyOperator(wrong=1, misplaced=0).with_errors(MEANT, shelf(), DECISION)
     assert push.object == 2
     assert (push.x, push.y) == pytest.approx((0.42 + 0.05, -0.10))
     # With another goal, object 0 is the nearest; of two at the same distance, the first.
-    assert NoisyOperator(wrong=1).err(MEANT, shelf(goal=3), AT).object == 0
+    assert NoisyOperator(wrong=1).with_errors(MEANT, shelf(goal=3), DECISION).object == 0
     twins = [*OBJECTS[:2], (0.36, -0.08), (0.36, -0.08)]
-    assert NoisyOperator(wrong=1).err(MEANT, shelf(twins), AT).object == 2
+    assert NoisyOperator(wrong=1).with_errors(MEANT, shelf(twins), DECISION).object == 2
 
 
 def test_the_wrong_object_stays_on_the_shelf():
     view = shelf([(0.3, 0.3), (0.40, -0.02), (0.52, -0.02)])
-    push = NoisyOperator(wrong=1, misplaced=0).err(Push(1, 0.45, -0.02), view, AT)
+    push = NoisyOperator(wrong=1, misplaced=0).with_errors(Push(1, 0.45, -0.02), view, DECISION)
     assert push == Push(2, 0.59 - 0.048, -0.02)  # not 0.57
 
 
 def test_there_may_be_no_other_object():
     view = shelf(OBJECTS[:2])
-    assert NoisyOperator(wrong=1, misplaced=0).err(MEANT, view, AT) == MEANT
+    assert NoisyOperator(wrong=1, misplaced=0).with_errors(MEANT, view, DECISION) == MEANT
 
 
 def test_a_misplaced_target_is_of_the_same_object():
     operator = NoisyOperator(wrong=0, misplaced=1)
-    pushes = [operator.err(MEANT, shelf(), at) for at in turns(20)]
+    pushes = [operator.with_errors(MEANT, shelf(), key) for key in decisions(20)]
     assert {push.object for push in pushes} == {1}
     assert min(distance(push, MEANT) for push in pushes) > 0
     assert len(set(pushes)) == len(pushes)
 
 
-def test_errors_depend_on_the_turn_alone():
+def test_errors_depend_on_the_decision_key_alone():
     operator = NoisyOperator(wrong=0.5, misplaced=0.5)
-    given = [operator.err(MEANT, shelf(), at) for at in turns(20)]
-    backwards = [NoisyOperator(0.5, 0.5).err(MEANT, shelf(), at) for at in turns(20)[::-1]]
+    given = [operator.with_errors(MEANT, shelf(), key) for key in decisions(20)]
+    backwards = [
+        NoisyOperator(0.5, 0.5).with_errors(MEANT, shelf(), key) for key in decisions(20)[::-1]
+    ]
     assert given == backwards[::-1]
-    # Every part of the turn matters.
+    # Every part of the key matters.
     always = NoisyOperator(wrong=0, misplaced=1, sd_m=0.01)
-    others = [AT, (8, 1, 2, 5), (7, 2, 2, 5), (7, 1, 3, 5), (7, 1, 2, 6), (7, 2, 1, 5)]
-    assert len({always.err(MEANT, shelf(), at) for at in others}) == len(others)
+    others = [DECISION, (8, 1, 2, 5), (7, 2, 2, 5), (7, 1, 3, 5), (7, 1, 2, 6), (7, 2, 1, 5)]
+    assert len({always.with_errors(MEANT, shelf(), key) for key in others}) == len(others)
     # The push does not, nor the shelf, nor the rate of the other error.
-    push = always.err(MEANT, shelf(), AT)
-    elsewhere = always.err(Push(3, 0.43, 0.10), shelf(goal=2), AT)
-    both = NoisyOperator(wrong=1, misplaced=1, sd_m=0.01).err(MEANT, shelf(), AT)
+    push = always.with_errors(MEANT, shelf(), DECISION)
+    elsewhere = always.with_errors(Push(3, 0.43, 0.10), shelf(goal=2), DECISION)
+    both = NoisyOperator(wrong=1, misplaced=1, sd_m=0.01).with_errors(MEANT, shelf(), DECISION)
     off = (push.x - MEANT.x, push.y - MEANT.y)
     assert (elsewhere.x - 0.43, elsewhere.y - 0.10) == pytest.approx(off, abs=1e-12)
     assert (both.x - 0.47, both.y + 0.10) == pytest.approx(off, abs=1e-12)
@@ -152,9 +154,9 @@ def test_errors_depend_on_the_turn_alone():
 
 def test_errors_grow_with_their_rates():
     """Common random numbers: who errs at a low rate errs in the same way at a higher one."""
-    for at in turns(40):
-        low = NoisyOperator(wrong=0.2, misplaced=0).err(MEANT, shelf(), at)
-        high = NoisyOperator(wrong=0.6, misplaced=0).err(MEANT, shelf(), at)
+    for key in decisions(40):
+        low = NoisyOperator(wrong=0.2, misplaced=0).with_errors(MEANT, shelf(), key)
+        high = NoisyOperator(wrong=0.6, misplaced=0).with_errors(MEANT, shelf(), key)
         assert low in (high, MEANT)
 
 
@@ -162,7 +164,7 @@ def test_errors_grow_with_their_rates():
 def test_errors_are_as_frequent_and_as_large_as_said(rates):
     wrong, misplaced = rates
     operator = NoisyOperator(wrong, misplaced, sd_m=0.01)  # so small that nothing is clipped
-    pushes = [operator.err(MEANT, shelf(), at) for at in turns(600)]
+    pushes = [operator.with_errors(MEANT, shelf(), key) for key in decisions(600)]
     of_another = np.array([push.object == 2 for push in pushes])
     ends = np.array([(push.x, push.y) for push in pushes])
     off = ends - np.where(of_another[:, None], (0.47, -0.10), (0.41, -0.02))
@@ -194,12 +196,12 @@ def test_any_error_is_a_legal_push(seed, preset, which, rates, iteration):
     pushed, targets = candidates(view)
     which %= len(pushed)
     meant = Push(int(pushed[which]), *map(float, targets[which]))
-    at = (seed, 0, 0, iteration)
-    push = NoisyOperator(*rates).err(meant, view, at)
+    decision_key = (seed, 0, 0, iteration)
+    push = NoisyOperator(*rates).with_errors(meant, view, decision_key)
     assert 0 <= push.object < len(view.objects) and push.object != scene.goal
     assert 0.28 <= push.x <= 0.59 - 0.048 and abs(push.y) <= 0.40 - 0.048
-    assert NoisyOperator(0, 0).err(meant, view, at) == meant
-    assert push == NoisyOperator(*rates).err(meant, view, at)
+    assert NoisyOperator(0, 0).with_errors(meant, view, decision_key) == meant
+    assert push == NoisyOperator(*rates).with_errors(meant, view, decision_key)
 
 
 def test_the_bounds_are_those_of_the_heuristic():
@@ -247,4 +249,4 @@ def test_deviations_that_cannot_be(value):
 
 def test_a_deviation_of_nothing_misplaces_nothing():
     operator = NoisyOperator(wrong=0, misplaced=1, sd_m=0)
-    assert [operator.err(MEANT, shelf(), at) for at in turns(2)] == [MEANT] * 20
+    assert [operator.with_errors(MEANT, shelf(), key) for key in decisions(2)] == [MEANT] * 20

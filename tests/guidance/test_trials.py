@@ -1,11 +1,10 @@
-"""Trials, and the operators that make them: what they foresee is what would happen."""
+"""Trials, and operators that make trials: a trial's result is what would happen."""
 
 import itertools
-from typing import Any
 
 import numpy as np
 import pytest
-from deliberations import (
+from coroutines import (
     DONE,
     FOUND,
     HOPELESS,
@@ -17,8 +16,6 @@ from deliberations import (
     turn,
     unsolved,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from pgf_jax.batching.requests import (
     NOISE,
@@ -46,12 +43,12 @@ def cost(search) -> float:
     return float(np.sum(search.value.terms[:3]))
 
 
-def course(seed: int, given) -> list[dict]:
-    """What a fleet of one records when `given` is all it is told, after iteration 4."""
-    planner_service, ended = native(), []
-    registry._OPERATORS["given"] = lambda: given
+def recorded_rows(seed: int, operator) -> list[dict]:
+    """Rows that a fleet of one robot records after its only request, made after iteration 4."""
+    planner_service = native()
+    registry._OPERATORS["given"] = lambda: operator
     try:
-        fleet, planned = single_robot(
+        planned = single_robot(
             planner_service,
             sample_scene(seed, "tight"),
             seed,
@@ -59,12 +56,11 @@ def course(seed: int, given) -> list[dict]:
             policy=once_after(DONE - 1),
             task_limit_s=120.0,
             service_s=(0.0, 0.0),
-            on_end=lambda robot: ended.append(robot.log.frame()),
         )
     finally:
         del registry._OPERATORS["given"]
-    run_fleets([(fleet, planned)], planner_service)
-    rows = ended[0].rows(named=True)
+    (done,) = run_fleets([planned], planner_service)
+    rows = done.robots.robots[0].log.frame().rows(named=True)
     assert [row["iteration"] for row in rows if row["asked_before"]] == [DONE]
     return rows[DONE:]
 
@@ -86,33 +82,34 @@ class Says:
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_going_on_is_stepping_by_hand(seed):
-    planner, words = native().planner, trial_key_path(*turn(seed), 3)
-    trial = run(simulate_input(planner, unsolved(seed), None, words, reach_limit=4))
+    planner, key_paths = native().planner, trial_key_path(*turn(seed), 3)
+    trial = run(simulate_input(planner, unsolved(seed), None, key_paths, reach_limit=4))
     search, steps = unsolved(seed), 0
     while steps < 4 and not planner.terminate(search):
-        search = stepped(search, words(steps))
+        search = stepped(search, key_paths(steps))
         steps += 1
     assert (trial.cost, trial.total) == (cost(search), float(search.value.total))
     assert (trial.solved, trial.iterations) == (planner.terminate(search), steps)
     assert trial.pushed is False and steps > 0
     # Iteration 0s are made in a trial that begins before them.
     nominal = planner.begin_reach(unsolved(seed).start, int(unsolved(seed).task.goal))
-    first = run(simulate_input(planner, nominal, None, words, reach_limit=1))
+    first = run(simulate_input(planner, nominal, None, key_paths, reach_limit=1))
     assert first.iterations == 2
-    assert first.total == float(stepped(stepped(nominal, words(0)), words(1)).value.total)
+    by_hand = stepped(stepped(nominal, key_paths(0)), key_paths(1))
+    assert first.total == float(by_hand.value.total)
 
 
 @pytest.mark.parametrize(
     ("seed", "kind"), [(0, "found"), (2, "found"), (2, "dropped"), (0, "go on"), (2, "go on")]
 )
-def test_a_trial_with_the_robot_s_own_keys_is_its_own_course(seed, kind):
+def test_a_trial_with_the_robot_s_own_keys_is_what_the_robot_does(seed, kind):
     push = {"found": FOUND[seed], "dropped": HOPELESS[seed], "go on": None}[kind]
-    rows = course(seed, Says(push))
+    rows = recorded_rows(seed, Says(push))
     reach_limit = len(rows)  # enough: the fleet ended by itself
-    deliberation = simulate_input(
+    coroutine = simulate_input(
         native().planner, unsolved(seed), push, robot_key_path(*turn(seed)), reach_limit=reach_limit
     )
-    trial = run(deliberation)
+    trial = run(coroutine)
     assert trial.solved and rows[-1]["feasible"]
     assert trial.iterations == len(rows)
     assert trial.cost == pytest.approx(sum(rows[-1][c] for c in ("c_d", "c_f", "c_b")), rel=1e-6)
@@ -128,10 +125,10 @@ def test_a_trial_with_the_robot_s_own_keys_is_its_own_course(seed, kind):
 
 def test_a_dropped_push_restarts_from_the_old_shelf():
     planner, search = native().planner, unsolved(0)
-    deliberation = simulate_input(
+    coroutine = simulate_input(
         planner, search, HOPELESS[0], robot_key_path(*turn(0)), push_limit=1, reach_limit=0
     )
-    trial, asked = traced(deliberation)
+    trial, asked = traced(coroutine)
     assert not trial.pushed and not any(isinstance(request, Retreat) for request in asked)
     nominal = stepped(planner.begin_reach(search.start, int(search.task.goal)), (9, 9, 9, 9, 9))
     assert (trial.cost, trial.total) == (cost(nominal), float(nominal.value.total))
@@ -166,10 +163,10 @@ def steps_of(asked) -> tuple[int, int]:
 )
 def test_limits(limits, expected):
     # Nothing may be solved before its limit: 2's hopeless push, and its reach from the start.
-    deliberation = simulate_input(
+    coroutine = simulate_input(
         native().planner, unsolved(2), HOPELESS[2], trial_key_path(*turn(2), 0), **limits
     )
-    trial, asked = traced(deliberation)
+    trial, asked = traced(coroutine)
     assert steps_of(asked) == expected
     assert trial.iterations == sum(expected)
     assert not trial.solved and not trial.pushed
@@ -177,7 +174,7 @@ def test_limits(limits, expected):
 
 @pytest.mark.parametrize(("reach", "total", "steps"), [(1, None, 1), (0, None, 0), (3, 1, 1)])
 def test_limits_of_going_on_count_from_now(reach, total, steps):
-    deliberation = simulate_input(
+    coroutine = simulate_input(
         native().planner,
         unsolved(2),
         None,
@@ -185,28 +182,13 @@ def test_limits_of_going_on_count_from_now(reach, total, steps):
         reach_limit=reach,
         total_limit=total,
     )
-    trial, asked = traced(deliberation)
+    trial, asked = traced(coroutine)
     assert trial.iterations == len(asked) == steps
     if not steps:
         assert trial.total == float(unsolved(2).value.total)
 
 
 # -- keys ----------------------------------------------------------------------------------------
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    first=st.tuples(st.integers(0, 5), st.integers(0, TRIAL_STEPS - 1), st.integers(0, 900)),
-    second=st.tuples(st.integers(0, 5), st.integers(0, TRIAL_STEPS - 1), st.integers(0, 900)),
-)
-def test_no_two_iterations_share_a_key(first, second):
-    (done, step, number), (other_done, other_step, other_number) = first, second
-    one = trial_key_path(7, 1, 2, done, number)(step)
-    assert one != robot_key_path(7, 1, 2, other_done)(other_step)
-    assert one[-1] != NOISE
-    same = first == second
-    assert (one == trial_key_path(7, 1, 2, other_done, other_number)(other_step)) == same
-    assert max(one) < 2**32
 
 
 def test_the_longest_trial_has_keys_enough():
@@ -218,12 +200,12 @@ def test_the_oracle_tries_with_keys_of_its_own():
     view, planner = View.of(unsolved(2)), native().planner
     operator = OracleOperator(ranked=1, others=1, again=1, repeats=1)
     given, asked = traced(operator.deliberate(view, unsolved(2), planner, turn(2)))
-    words = [request.key_path for request in asked if isinstance(request, Step)]
-    assert len(set(words)) == len(words) > 3
-    assert all(word[:4] == turn(2) and word[4] != NOISE for word in words)
-    # The same turn, the same trials; another turn has others.
+    paths = [request.key_path for request in asked if isinstance(request, Step)]
+    assert len(set(paths)) == len(paths) > 3
+    assert all(path[:4] == turn(2) and path[4] != NOISE for path in paths)
+    # The same decision key, the same trials; another one has others.
     again, asked = traced(operator.deliberate(view, unsolved(2), planner, turn(2)))
-    assert again == given and [r.key_path for r in asked if isinstance(r, Step)] == words
+    assert again == given and [r.key_path for r in asked if isinstance(r, Step)] == paths
     assert operator._pushes(view, turn(2)) == operator._pushes(view, turn(2))
     drawn = {operator._pushes(view, (2, 0, 0, i))[-1] for i in range(6)}
     assert len(drawn) > 1
@@ -251,12 +233,12 @@ def several(planner) -> list:
 @pytest.fixture(scope="module")
 def alone():
     planner = native(1).planner
-    return [run(deliberation, native(1)) for deliberation in several(planner)]
+    return [run(coroutine, native(1)) for coroutine in several(planner)]
 
 
 @pytest.mark.parametrize("lanes", [1, 3, 4])
 def test_trials_do_not_depend_on_their_company(alone, lanes):
-    """Bit for bit: side by side, backwards, or as jobs of one queue."""
+    """Bit for bit: side by side, backwards, or as coroutines of one scheduler."""
     planner_service = native(lanes)
     assert run(gather(several(planner_service.planner)), planner_service) == alone
     backwards = run(gather(several(planner_service.planner)[::-1]), planner_service)
@@ -265,52 +247,27 @@ def test_trials_do_not_depend_on_their_company(alone, lanes):
     assert len({trial.total for trial in alone}) == 6
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.lists(st.lists(st.integers(0, 3), max_size=4), max_size=5))
-def test_together_sends_everyone_their_own_answers(plans):
-    def ask(name, plan) -> Any:
-        heard = []
-        for round, count in enumerate(plan):
-            answers = yield [(name, round, i) for i in range(count)]
-            heard.append(list(answers))
-        return heard
-
-    jobs = gather([ask(name, plan) for name, plan in enumerate(plans)])
-    answers, rounds = None, 0
-    with pytest.raises(StopIteration) as end:
-        while True:
-            requests = jobs.send(answers)  # pyright: ignore[reportArgumentType]
-            rounds += 1
-            answers = [("answer", *request) for request in requests]  # pyright: ignore
-    expected = [
-        [[("answer", name, round, i) for i in range(count)] for round, count in enumerate(plan)]
-        for name, plan in enumerate(plans)
-    ]
-    assert end.value.value == expected
-    assert rounds == max(map(len, plans), default=0)
+# -- operators that simulate pushes --------------------------------------------------------------
 
 
-# -- operators that imagine ----------------------------------------------------------------------
-
-
-def imagined(seed: int, push: Push) -> float:
+def simulated(seed: int, push: Push) -> float:
     """The cost that a push would end in without noise, worked out call by call."""
     planner, search = native().planner, unsolved(seed)
-    goal, words = int(search.task.goal), (4, 3, 2, 1, 0)  # no noise: any key will do
-    pushed = stepped(planner.begin_push(search.start, goal, push), words)
+    goal, path = int(search.task.goal), (4, 3, 2, 1, 0)  # no noise: any key will do
+    pushed = stepped(planner.begin_push(search.start, goal, push), path)
     if not planner.terminate(pushed):
         return np.inf
     (world,) = planner.retreat([pushed])
-    return float(stepped(planner.begin_reach(world, goal), words).value.total)
+    return float(stepped(planner.begin_reach(world, goal), path).value.total)
 
 
 @pytest.mark.parametrize("seed", [0, 2])
-def test_the_heuristic_takes_the_push_that_it_imagines_to_end_best(seed, monkeypatch):
-    monkeypatch.setattr(heuristic, "IMAGINED", 12)
+def test_the_heuristic_gives_the_push_that_ends_best_when_simulated(seed, monkeypatch):
+    monkeypatch.setattr(heuristic, "SIMULATED", 12)
     operator, view = HeuristicOperator(), View.of(unsolved(seed))
     given = run(operator.deliberate(view, unsolved(seed), native().planner, turn(seed)))
     pushes = operator.ranked(view, 12)
-    ends = [imagined(seed, push) for push in pushes]
+    ends = [simulated(seed, push) for push in pushes]
     assert np.isinf(ends).any() and min(ends) < unsolved(seed).value.total
     assert given == pushes[int(np.argmin(ends))]
     # Neither noise nor company decides.
@@ -324,14 +281,14 @@ def test_the_heuristic_takes_the_push_that_it_imagines_to_end_best(seed, monkeyp
 def asked(request: int, *, content: bool):
     """What the heuristic says to its `request`th request, of a robot that has done well or not."""
     search = unsolved(0)
-    if content:  # nothing that it imagines ends better
+    if content:  # no push that it simulates ends better
         search = search._replace(value=search.value._replace(total=np.float32(-1.0)))
     view = View.of(search, request)
     return run(HeuristicOperator().deliberate(view, search, native().planner, turn(0)))
 
 
 def test_the_heuristic_loses_its_patience(monkeypatch):
-    monkeypatch.setattr(heuristic, "IMAGINED", 3)
+    monkeypatch.setattr(heuristic, "SIMULATED", 3)
     given = [asked(request, content=True) for request in range(7)]
     assert [push is not None for push in given] == [False] * 3 + [True, False, True, False]
     # When it is better to push anyway, it always does.
@@ -344,11 +301,11 @@ def test_without_a_push_that_can_be_found_the_robot_goes_on(monkeypatch, pushes)
     assert [asked(request, content=False) for request in (0, 3, 5)] == [None] * 3
 
 
-def test_an_operator_that_only_looks_asks_nothing():
+def test_an_operator_that_only_looks_requests_nothing():
     planner, view = native().planner, View.of(unsolved(0))
     for operator, said in ((NoOperator(), None), (Says(FOUND[0]), FOUND[0])):
-        consulted = ask_operator(operator, view, unsolved(0), planner, turn(0))
-        assert traced(consulted) == (said, [])
+        asking = ask_operator(operator, view, unsolved(0), planner, turn(0))
+        assert traced(asking) == (said, [])
 
 
 # -- the clairvoyant -----------------------------------------------------------------------------
@@ -366,7 +323,7 @@ def test_what_the_clairvoyant_foresees_is_what_happens(seed, monkeypatch):
 
     monkeypatch.setattr(oracle, "_score", remembered)
     operator = OracleOperator("few", ranked=3, others=2, clairvoyant=True)
-    rows = course(seed, operator)
+    rows = recorded_rows(seed, operator)
     best = min(foreseen, key=score)
     assert len(foreseen) == 6 and best.solved
     assert (best.iterations, best.solved) == (len(rows), rows[-1]["feasible"])
@@ -377,6 +334,6 @@ def test_what_the_clairvoyant_foresees_is_what_happens(seed, monkeypatch):
     monkeypatch.setattr(oracle, "_score", score)
     for push, trial in itertools.islice(zip(inputs, foreseen, strict=True), 3):
         if trial.solved:
-            rows = course(seed, Says(push))
+            rows = recorded_rows(seed, Says(push))
             assert (len(rows), rows[-1]["feasible"]) == (trial.iterations, True)
             assert best.iterations <= trial.iterations

@@ -92,7 +92,7 @@ class Step:
 
 
 def cost(p: contact.Problem, w: np.ndarray) -> np.ndarray:
-    """The cost as PLANAR states it, row by row in float64; [count]."""
+    """The cost as `planar.contact` states it, row by row in float64; [count]."""
     c = CONSTANTS
     p = jax.tree.map(lambda a: np.asarray(a, float), p)
 

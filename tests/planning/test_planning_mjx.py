@@ -13,8 +13,8 @@ def strict_arrays():
     """Takes the room's fixture away: mjx promotes dtypes and ranks."""
 
 
-def key(*words):
-    return np.array(jax.random.key_data(jax.random.fold_in(jax.random.key(words[0]), words[1])))
+def key(seed, number):
+    return np.array(jax.random.key_data(jax.random.fold_in(jax.random.key(seed), number)))
 
 
 def test_lanes_do_not_see_each_other(mjx_engine):

@@ -14,8 +14,8 @@ from pgf_jax.scene import sample_scene
 SCENES = [sample_scene(seed, "tight") for seed in range(3)]
 
 
-def key(*words):
-    return np.array(jax.random.key_data(jax.random.fold_in(jax.random.key(words[0]), words[1])))
+def key(seed, number):
+    return np.array(jax.random.key_data(jax.random.fold_in(jax.random.key(seed), number)))
 
 
 def assert_same(a, b):

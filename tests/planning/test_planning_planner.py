@@ -68,8 +68,8 @@ class Bulldozer:
         return np.array(path), np.array(poses), velocities * 0, force, bodies
 
 
-def key(*words):
-    return np.array(jax.random.key_data(jax.random.fold_in(jax.random.key(words[0]), words[1])))
+def key(seed, number):
+    return np.array(jax.random.key_data(jax.random.fold_in(jax.random.key(seed), number)))
 
 
 def reach(planner, positions=POSITIONS):
@@ -374,15 +374,15 @@ def test_push_of_an_object_that_is_not_there(number):
 
 
 @pytest.mark.parametrize(
-    ("settings", "words"),
+    ("settings", "message"),
     [
-        ({"rollouts": 0}, "rollouts: expected a positive number, got 0"),
-        ({"update": "sgd"}, "update: expected greedy or stomp, got 'sgd'"),
-        ({"cost": Cost(variant="thesis")}, "cost: expected source or paper, got 'thesis'"),  # pyright: ignore[reportArgumentType]
+        ({"rollouts": 0}, "rollouts: expected a whole number 1 or more, got 0"),
+        ({"update": "sgd"}, "update: expected one of greedy, stomp, got 'sgd'"),
+        ({"cost": Cost(variant="thesis")}, "cost: expected one of source, paper, got 'thesis'"),  # pyright: ignore[reportArgumentType]
     ],
 )
-def test_settings_that_cannot_be(settings, words):
-    with pytest.raises(BadInput, match=words):
+def test_settings_that_cannot_be(settings, message):
+    with pytest.raises(BadInput, match=message):
         Planner(**settings)
 
 

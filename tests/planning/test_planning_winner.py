@@ -1,4 +1,4 @@
-"""The random winner, an ablation (D9): on the engines that the planner's own tests use."""
+"""The random winner, an ablation, on the engines that the planner's own tests use."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""What an operator is, and how one is asked for its input."""
+"""The operator protocols, and the coroutine that asks an operator for its input."""
 
 from typing import TYPE_CHECKING, Protocol
 
@@ -11,33 +11,34 @@ if TYPE_CHECKING:  # the planner needs JAX, and the command line lists the opera
 
 
 class Operator(Protocol):
-    """Gives input. The same view must give the same input: no state, no randomness of its own.
+    """Operator that decides from the view alone.
 
-    One that tries pushes by rollouts before it says anything is a `Deliberate`.
+    The same view must give the same input: the operator has no state and no randomness of its own.
+    An operator that needs rollouts is a `RolloutOperator`.
     """
 
     name: str
 
     def decide(self, view: View) -> Push | None:
-        """Push an object somewhere, or None: go on reaching."""
+        """Return a push, or None: go on reaching."""
         ...
 
 
 class RolloutOperator(Protocol):
-    """An operator that uses rollouts (`oracle`), in calls that it shares with the robots."""
+    """Operator that does rollouts first (`oracle`), in the same engine calls as the robots."""
 
     name: str
 
     def deliberate(
-        self, view: View, search: "Search", planner: "BatchPlanner", at: DecisionKey
+        self, view: View, search: "Search", planner: "BatchPlanner", decision_key: DecisionKey
     ) -> "Coroutine":
-        """What it asks of the computer; returns a `Push`, or None: go on reaching.
+        """Coroutine that requests rollouts and returns a `Push`, or None: go on reaching.
 
         Args:
           view: of the robot.
-          search: its reach as it stands, where trials begin.
+          search: the robot's reach as it stands, where trials begin.
           planner: of the searches.
-          at: whose turn it is, for the keys of trials.
+          decision_key: identifies the decision; the keys of trials are made of it.
         """
         ...
 
@@ -45,22 +46,26 @@ class RolloutOperator(Protocol):
 AnyOperator = Operator | RolloutOperator
 
 
-def ask_operator(
-    operator: AnyOperator, view: View, search: "Search", planner: "BatchPlanner", at: DecisionKey
-) -> "Coroutine":
-    """The operator's input as a deliberation, whether it needs rollouts or not."""
-    deliberate = getattr(operator, "deliberate", None)
-    if deliberate is not None:
-        return (yield from deliberate(view, search, planner, at))
-    assert hasattr(operator, "decide"), f"{operator.name}: neither decides nor deliberates"
-    return operator.decide(view)  # pyright: ignore[reportAttributeAccessIssue]
-
-
 class NoOperator:
-    """Always says "go on reaching"."""
+    """Operator `none`: always says "go on reaching"."""
 
     name = "none"
 
     def decide(self, view: View) -> Push | None:
         """See `Operator.decide`."""
         return None
+
+
+def ask_operator(
+    operator: AnyOperator,
+    view: View,
+    search: "Search",
+    planner: "BatchPlanner",
+    decision_key: DecisionKey,
+) -> "Coroutine":
+    """Coroutine that returns an operator's input, whether the operator needs rollouts or not."""
+    deliberate = getattr(operator, "deliberate", None)
+    if deliberate is not None:
+        return (yield from deliberate(view, search, planner, decision_key))
+    assert hasattr(operator, "decide"), f"{operator.name}: has no method decide or deliberate"
+    return operator.decide(view)  # pyright: ignore[reportAttributeAccessIssue]

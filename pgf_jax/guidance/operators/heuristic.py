@@ -1,14 +1,14 @@
-"""The `heuristic` operator (D5): a person's look at the shelf, and what they imagine.
+"""Operator `heuristic`: weighs pushes by geometry, then simulates the best ones without noise.
 
-It looks: every push of an object by a hand's breadth or two is weighed by geometry. Short pushes of
-what stands at the front, into the shelf, are the ones that work, if the hand fits behind the object
-and the goal is not hit; then the next reach counts: how far the hand must turn, what stands in its
-corridor, whether it fits beside the walls. Objects that stop the best trajectory so far (in the
-hand at its end, pressed by hand or goal, jammed against a wall) count double.
+First it weighs every push of an object over 0.06 to 0.20 m by geometry. Short pushes of objects at
+the front, into the shelf, work best, if the hand fits behind the object and the goal is not hit.
+Then the next reach counts: how far the hand must turn, which objects stand in its corridor, and
+whether it fits beside the walls. Objects that stop the best trajectory so far (in the hand at its
+end, pressed by hand or goal, jammed against a wall) count double.
 
-Then it imagines the best of these, each once: the straight push, the retreat and the straight reach
-after it, as they would go without noise. The push wins whose reach would end best, if that is
-better than what the robot has; else the robot goes on.
+Then it simulates each of the best pushes once, without noise: the straight push, the retreat and
+the straight reach after it. It gives the push whose reach ends best, if that end is better than
+what the robot has; else it says "go on reaching". So might a person look at the shelf and imagine.
 """
 
 import dataclasses
@@ -36,7 +36,7 @@ from pgf_jax.scene.scene import BACK_WALL_X, RADIUS, SIDE_WALL_Y
 
 @dataclasses.dataclass(frozen=True)
 class Weights:
-    """How much each thing speaks against a push, in log-odds that the next reach succeeds.
+    """Weights of a push's cost; the cost lowers the log-odds that the next reach succeeds.
 
     A logistic fit, with an intercept for each scene, to 832 pushes tried by rollouts (push,
     retreat, 5 reach iterations) in 52 sampled scenes (seeds 1000 to 1109) that planning alone had
@@ -45,13 +45,13 @@ class Weights:
 
     forward: float = -1.7  # cosine between push and pointing direction: into the shelf is good
     sideways: float = -1.1  # 1 - its absolute value: so is sideways, beside pulling back
-    depth: float = 6.5  # per m, x of the pushed object: those behind are hard to get at
+    depth: float = 6.5  # per m, x of the pushed object: objects behind are hard to get at
     length: float = 7.3  # per m pushed
     near_goal: float = 3.2  # per m between object and goal, up to 0.25
     hits_goal: float = 0.7  # the object runs into the goal
-    hand_at_goal: float = -0.8  # the hand's tip comes by the goal and loosens what is around it
+    hand_at_goal: float = -0.8  # the hand's tip passes the goal and loosens what is around it
     beside: float = -0.15  # per object that the hand shifts where it gets behind the pushed one
-    room: float = -4.2  # per m from where the hand retracts to, to the goal
+    room: float = -4.2  # per m from the retracted hand to the goal
     angle: float = 2.5  # per rad of the next reach's turn
     blocker: float = 0.1  # per object in the next reach's corridor, twice for a culprit
     in_hand: float = 0.2  # per object in front of the hand where the push ends
@@ -59,9 +59,9 @@ class Weights:
     reach_wall: float = 71.0  # per m that it would be in a wall at the goal
 
 
-IMAGINED = 32  # pushes that it thinks through
-# Asked so many times before, going on is not good enough any more: then every second time (a push
-# takes as many iterations as it takes to see whether the last one has helped) it gives a push.
+SIMULATED = 32  # pushes that are simulated, the best by geometry
+# After this many requests of a task the operator gives a push at every second request, even if
+# going on looks better; at the requests between it sees whether the last push has helped.
 PATIENCE = 3
 HALF_CLOSED, AHEAD = 0.055, 0.067  # the closed hand: half its breadth, its reach ahead of `ee`, m
 DISTANCES = (0.06, 0.10, 0.15, 0.20)  # m
@@ -73,7 +73,7 @@ TARGETS_HIGH = np.array([BACK_WALL_X - 1.6 * RADIUS, SIDE_WALL_Y - 1.6 * RADIUS]
 
 
 class HeuristicOperator:
-    """Chooses among pushes of every object in 16 directions over 4 distances."""
+    """Operator that chooses among pushes of every object in 16 directions over 4 distances."""
 
     name = "heuristic"
 
@@ -81,18 +81,17 @@ class HeuristicOperator:
         self.weights = weights or Weights()
 
     def deliberate(
-        self, view: View, search: Search, planner: BatchPlanner, at: DecisionKey
+        self, view: View, search: Search, planner: BatchPlanner, decision_key: DecisionKey
     ) -> Coroutine:
-        """See `operators.Deliberate.deliberate`."""
+        """See `RolloutOperator.deliberate`."""
         # None, going on, comes first: of equals the first is taken.
-        inputs: list[Push | None] = [None, *self.ranked(view, IMAGINED)]
+        inputs: list[Push | None] = [None, *self.ranked(view, SIMULATED)]
         # Nominals only: no noise is drawn, so the keys do not matter. A reach under way has had
         # its nominal, and is taken as it stands.
+        key_paths = robot_key_path(*decision_key)
         trials = yield from gather(
             [
-                simulate_input(
-                    planner, search, given, robot_key_path(*at), push_limit=0, reach_limit=0
-                )
+                simulate_input(planner, search, given, key_paths, push_limit=0, reach_limit=0)
                 for given in inputs
             ]
         )
@@ -100,16 +99,16 @@ class HeuristicOperator:
             trial.total if trial.pushed or given is None else np.inf
             for trial, given in zip(trials, inputs, strict=True)
         ]
-        tired = view.request >= PATIENCE and (view.request - PATIENCE) % 2 == 0
-        if tired and np.isfinite(ends[1:]).any():
+        must_push = view.request >= PATIENCE and (view.request - PATIENCE) % 2 == 0
+        if must_push and np.isfinite(ends[1:]).any():
             ends[0] = np.inf
         return inputs[int(np.argmin(ends))]
 
     def ranked(self, view: View, count: int) -> list[Push]:
-        """The `count` best pushes (fewer where there are not so many), the best first.
+        """Return the `count` best pushes by geometry (or all, if there are fewer), best first.
 
-        No two of them are alike: a push that could not be planned says that its like cannot either.
-        So each pushes another object than those before it, or the same one another way.
+        No two of them are alike: where one push cannot be planned, a similar one cannot either. So
+        each pushes another object than those before it, or the same object to another place.
         """
         pushed, targets = candidates(view)
         chosen: list[int] = []
@@ -126,7 +125,7 @@ class HeuristicOperator:
         return [Push(int(pushed[c]), *map(float, targets[c])) for c in chosen]
 
     def _cost(self, view: View, pushed: np.ndarray, targets: np.ndarray) -> np.ndarray:
-        """[P] cost of each candidate."""
+        """[P] cost of each candidate, by geometry."""
         w, objects = self.weights, view.objects
         n = len(objects)
         yaw = view.hand[2] + hand.POINTING_YAW
@@ -172,7 +171,7 @@ class HeuristicOperator:
     def _reach_cost(
         self, view: View, ee: np.ndarray, yaw: float, objects: np.ndarray
     ) -> np.ndarray:
-        """[P] what speaks against a reach from `ee` ([P, 2]) among objects [P, N, 2]."""
+        """[P] cost of a reach from `ee` ([P, 2]) among objects [P, N, 2]."""
         w = self.weights
         goal = objects[:, view.goal]
         to = goal - ee
@@ -186,7 +185,7 @@ class HeuristicOperator:
         blockers = np.clip((CORRIDOR + RADIUS - aside) / CORRIDOR, 0, 1) * inside
         blockers[:, view.goal] = 0
         blockers = blockers * (1 + culprits(view))
-        # The reach nominal turns by half the goal's angle as seen from the base (D4).
+        # The reach nominal turns by half the goal's angle as seen from the base (`nominal.reach`).
         c, s = np.cos(view.hand[2]), np.sin(view.hand[2])
         seen = goal - ee + np.array([[c, -s], [s, c]]) @ hand.EE_POINT
         turn = 0.5 * wrap(np.arctan2(seen[:, 1], seen[:, 0]) - yaw)
@@ -200,7 +199,7 @@ class HeuristicOperator:
 
 
 def candidates(view: View) -> tuple[np.ndarray, np.ndarray]:
-    """Pushed object [P] and target [P, 2] of every push that ends on the shelf."""
+    """Pushed object [P] and target [P, 2] of every push that the operator considers."""
     n = len(view.objects)
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     steps = np.array([[d * np.cos(a), d * np.sin(a)] for d in DISTANCES for a in angles])

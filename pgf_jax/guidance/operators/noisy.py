@@ -1,7 +1,7 @@
-"""The `noisy` operator (D5): it sees what `heuristic` sees, and errs in what it says.
+"""Operator `noisy`: gives the input of `heuristic`, with random errors.
 
-Two errors of somebody who clicks on a picture of the shelf: the wrong object, and the right object
-to a place beside the one that was meant.
+A person who clicks on a picture of the shelf makes two errors: the wrong object, and the right
+object to a place beside the one that was meant.
 """
 
 import dataclasses
@@ -20,19 +20,20 @@ from pgf_jax.streams import stream
 
 @dataclasses.dataclass(frozen=True)
 class NoisyOperator:
-    """Decides as `HeuristicOperator` does, then errs. The default rates are assumptions.
+    """Operator that decides as `HeuristicOperator` does, then makes errors at random.
 
-    The errors are drawn by (seed, robot, task, iteration): the same turn has the same ones under
-    every policy and at every fleet size. "Go on reaching" stays so.
+    The errors are drawn by (seed, robot, task, iteration): the same decision has the same errors
+    under every policy and at every fleet size. "Go on reaching" has no errors. The default rates
+    are assumptions.
 
     Attributes:
-      wrong: probability that the push is of another object, by the same displacement: of the one
-        nearest to the intended object, never the goal. Where there is none, the intended one stays.
-      misplaced: probability that the target is somewhere else; independent of `wrong`.
-      sd_m: standard deviation, per axis, of where it is then, m.
+      wrong: probability that another object is pushed, by the same displacement: the one nearest
+        to the intended object, never the goal. Where there is none, the intended one stays.
+      misplaced: probability that the target is displaced; independent of `wrong`.
+      sd_m: standard deviation of that displacement, per axis, m.
 
     Raises:
-      BadInput: a rate that is no probability, or a standard deviation that is negative.
+      BadInput: a rate is no probability, or the standard deviation is negative.
     """
 
     wrong: float = 0.2
@@ -50,15 +51,15 @@ class NoisyOperator:
             raise BadInput(f"sd_m: expected a number of metres, 0 or more, got {self.sd_m!r}")
 
     def deliberate(
-        self, view: View, search: Search, planner: BatchPlanner, at: DecisionKey
+        self, view: View, search: Search, planner: BatchPlanner, decision_key: DecisionKey
     ) -> Coroutine:
-        """See `operators.Deliberate.deliberate`."""
-        intended = yield from HeuristicOperator().deliberate(view, search, planner, at)
-        return None if intended is None else self.err(intended, view, at)
+        """See `RolloutOperator.deliberate`."""
+        intended = yield from HeuristicOperator().deliberate(view, search, planner, decision_key)
+        return None if intended is None else self.with_errors(intended, view, decision_key)
 
-    def err(self, intended: Push, view: View, at: DecisionKey) -> Push:
-        """What it says when it means `intended`."""
-        uniform, normal = _draws(at)
+    def with_errors(self, intended: Push, view: View, decision_key: DecisionKey) -> Push:
+        """The push that the operator gives when it means `intended`."""
+        uniform, normal = _draws(decision_key)
         pushed, target = intended.object, np.array([intended.x, intended.y])
         if uniform[0] < self.wrong:
             pushed = _neighbour(intended.object, view)
@@ -70,7 +71,7 @@ class NoisyOperator:
 
 
 def _neighbour(pushed: int, view: View) -> int:
-    """The object nearest to the pushed one, other than the goal; itself where there is none."""
+    """The object nearest to the pushed one, except the goal; the pushed one if there is none."""
     distance = np.linalg.norm(view.objects - view.objects[pushed], axis=1)  # [N]
     distance[[pushed, view.goal]] = np.inf
     nearest = int(np.argmin(distance))
@@ -78,24 +79,25 @@ def _neighbour(pushed: int, view: View) -> int:
 
 
 def _on_shelf(target: np.ndarray) -> np.ndarray:
-    """[2] the nearest place where a target may be, m."""
+    """The nearest allowed target [2], m."""
     return np.clip(target, TARGETS_LOW, TARGETS_HIGH)
 
 
-def _draws(at: DecisionKey) -> tuple[np.ndarray, np.ndarray]:
-    """Two numbers of the uniform distribution on [0, 1), and two of the standard normal one.
+def _draws(decision_key: DecisionKey) -> tuple[np.ndarray, np.ndarray]:
+    """Draw two numbers uniform on [0, 1), and two of the standard normal distribution.
 
-    All four at every turn, so that which error is made does not depend on the other's rate.
+    Every decision draws all four, so that one error does not depend on the rate of the other.
     """
+    seed, *rest = decision_key
     # Raw bits: NumPy keeps a bit generator's output fixed for ever, but not a Generator's.
-    bits = stream(at[0], "noisy", *at[1:]).bit_generator.random_raw(4)
+    bits = stream(seed, "noisy", *rest).bit_generator.random_raw(4)
     u = (bits >> 11) * 2.0**-53  # the 53 bits that a float64 holds
     radius, angle = math.sqrt(-2 * math.log1p(-u[2])), 2 * math.pi * u[3]  # Box and Muller
     return u[:2], radius * np.array([math.cos(angle), math.sin(angle)])
 
 
 def _is_number(value: object) -> bool:
-    """Whether it is a finite number, 0 or more."""
+    """Whether the value is a finite number, 0 or more."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
     return 0 <= value < math.inf

@@ -1,9 +1,9 @@
-"""Operators that try pushes by rollouts before they say anything (D5): upper bounds.
+"""Operators `oracle` and `clairvoyant`: try pushes by rollouts, as upper bounds.
 
-`oracle` knows the physics perfectly, and not the noise: it tries going on and a number of pushes,
-the best few of them several times, under noise that no robot will use. `clairvoyant` knows the
-robot's own noise as well, so that what it tries is what will happen: no operator who is asked at
-that moment and knows these pushes could do better.
+`oracle` knows the physics perfectly, but not the noise: it tries going on and a number of pushes,
+the best few of them several times, with noise that no robot will use. `clairvoyant` knows the
+robot's own noise as well, so its trials show what will happen: no operator that is asked at that
+moment and chooses among these pushes could do better.
 """
 
 from collections.abc import Sequence
@@ -18,22 +18,21 @@ from pgf_jax.planning.planner import BatchPlanner, Search
 from pgf_jax.planning.types import Push
 from pgf_jax.streams import stream
 
-TOTAL = 14  # iterations that a trial may take: a push in a few, and then the predictors' look-ahead
-
-# Number of its first trial: forks of the state that it is asked about have those below.
-FIRST = 1 << 16
+TOTAL = 14  # iterations of a trial at most: a few for a push, then the predictors' look-ahead
+# Number of an operator's first trial; forks of the same state have the numbers below.
+FIRST_TRIAL = 1 << 16
 
 
 class OracleOperator:
-    """Halves its choices: every candidate once, then the best ones again.
+    """Operator that tries every candidate once, then the best ones again.
 
     Args:
-      name: as it is registered.
-      ranked: pushes that the heuristic operator thinks best.
-      others: pushes drawn from all that it would consider.
-      again: candidates that are tried again; going on always is.
-      repeats: how many times.
-      clairvoyant: tries with the robot's own noise, so once is enough.
+      name: the operator's name in the registry.
+      ranked: pushes that are best by the geometry of the heuristic operator.
+      others: pushes drawn at random from all that the heuristic operator considers.
+      again: pushes that are tried again; going on is always tried again.
+      repeats: how many times they are tried again.
+      clairvoyant: trials use the robot's own noise, so once is enough.
     """
 
     def __init__(
@@ -51,31 +50,32 @@ class OracleOperator:
         self._again, self._repeats = again, repeats
 
     def deliberate(
-        self, view: View, search: Search, planner: BatchPlanner, at: DecisionKey
+        self, view: View, search: Search, planner: BatchPlanner, decision_key: DecisionKey
     ) -> Coroutine:
-        """See `operators.Deliberate.deliberate`."""
-        inputs: list[Push | None] = [None, *self._pushes(view, at)]
+        """See `RolloutOperator.deliberate`."""
+        inputs: list[Push | None] = [None, *self._pushes(view, decision_key)]
         every = list(range(len(inputs)))
-        scores = yield from self._try(inputs, every, 0, search, planner, at)
+        scores = yield from self._try(inputs, every, 0, search, planner, decision_key)
         if not self._clairvoyant:
             # The order of equals is that of the candidates: going on first, then the heuristic's.
             best = sorted(every[1:], key=lambda i: scores[i])[: self._again]
             chosen = [0, *best]
-            runs = [[scores[i]] for i in chosen]
+            tried = [[scores[i]] for i in chosen]
             for repeat in range(1, 1 + self._repeats):
-                more = yield from self._try(inputs, chosen, repeat, search, planner, at)
-                for run, score in zip(runs, more, strict=True):
-                    run.append(score)
-            means = {i: float(np.mean(run)) for i, run in zip(chosen, runs, strict=True)}
+                more = yield from self._try(inputs, chosen, repeat, search, planner, decision_key)
+                for own, score in zip(tried, more, strict=True):
+                    own.append(score)
+            means = {i: float(np.mean(own)) for i, own in zip(chosen, tried, strict=True)}
             return inputs[min(means, key=lambda i: means[i])]
         return inputs[min(every, key=lambda i: scores[i])]
 
-    def _pushes(self, view: View, at: DecisionKey) -> list[Push]:
+    def _pushes(self, view: View, decision_key: DecisionKey) -> list[Push]:
         pushes = HeuristicOperator().ranked(view, self._ranked)
         objects, targets = candidates(view)
         count = min(self._others, len(objects))
+        seed, *rest = decision_key
         # Raw bits: NumPy keeps a bit generator's output fixed for ever, but not a Generator's.
-        bits = stream(at[0], "oracle", *at[1:]).bit_generator.random_raw(len(objects))
+        bits = stream(seed, "oracle", *rest).bit_generator.random_raw(len(objects))
         drawn = np.argsort(bits, kind="stable")[:count]
         return pushes + [Push(int(objects[k]), *map(float, targets[k])) for k in drawn]
 
@@ -86,15 +86,18 @@ class OracleOperator:
         repeat: int,
         search: Search,
         planner: BatchPlanner,
-        at: DecisionKey,
+        decision_key: DecisionKey,
     ) -> Coroutine:
-        """Scores of the chosen inputs, lower is better."""
+        """Try the chosen inputs; returns their scores, lower is better."""
 
         def one(i: int) -> Coroutine:
-            number = FIRST + repeat * len(inputs) + i
-            words = robot_key_path(*at) if self._clairvoyant else trial_key_path(*at, number)
+            if self._clairvoyant:
+                key_paths = robot_key_path(*decision_key)
+            else:
+                number = FIRST_TRIAL + repeat * len(inputs) + i
+                key_paths = trial_key_path(*decision_key, number)
             return simulate_input(
-                planner, search, inputs[i], words, reach_limit=TOTAL, total_limit=TOTAL
+                planner, search, inputs[i], key_paths, reach_limit=TOTAL, total_limit=TOTAL
             )
 
         trials = yield from gather([one(i) for i in chosen])
@@ -102,12 +105,12 @@ class OracleOperator:
 
 
 def _score(trial: Trial) -> float:
-    """Iterations to a solution; unsolved, half as many again as it had, and its cost decides."""
+    """Score of a trial: its iterations; if unsolved, 1.5 times the limit and a share of cost."""
     if trial.solved:
         return trial.iterations
     return 1.5 * TOTAL + min(trial.total, 1e4) / 1e3
 
 
 def clairvoyant() -> OracleOperator:
-    """The operator that knows the noise as well."""
+    """Make the operator `clairvoyant`, which knows the robot's noise as well."""
     return OracleOperator("clairvoyant", ranked=16, others=16, clairvoyant=True)

@@ -1,18 +1,16 @@
-"""Operators by name: those that ship, and those that users register."""
+"""Registry that finds operators by name: those that ship, and those that users register."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from pgf_jax.errors import BadInput
 from pgf_jax.guidance.operators.base import AnyOperator, NoOperator
 from pgf_jax.settings import check_choice
 
-if TYPE_CHECKING:  # the planner needs JAX, and the command line lists the operators
-    pass
+# These import late: the operators need the planner and so JAX, and the command line lists them.
 
 
 def _heuristic() -> AnyOperator:
-    from pgf_jax.guidance.operators.heuristic import HeuristicOperator  # needs the planner, so JAX
+    from pgf_jax.guidance.operators.heuristic import HeuristicOperator
 
     return HeuristicOperator()
 
@@ -45,17 +43,17 @@ _OPERATORS: dict[str, Callable[[], AnyOperator]] = {
 
 
 def register_operator(name: str, make: Callable[[], AnyOperator]) -> None:
-    """Make `make()` available as `make_operator(name)`."""
+    """Register `make()` for `make_operator(name)`."""
     _OPERATORS[name] = make
 
 
 def operator_names() -> list[str]:
-    """Names that `make_operator` takes."""
+    """Names of all registered operators, sorted."""
     return sorted(_OPERATORS)
 
 
 def make_operator(name: str) -> AnyOperator:
-    """Build an operator.
+    """Build the operator of a name.
 
     Raises:
       BadInput: no operator of that name.
@@ -67,5 +65,5 @@ def make_operator(name: str) -> AnyOperator:
 
 
 def check_operator(name: str) -> None:
-    """BadInput unless an operator of that name is registered."""
+    """Raise BadInput unless an operator of that name is registered."""
     check_choice("operator", name, operator_names())

@@ -1,4 +1,4 @@
-"""Checkpoints of the predictors: one msgpack file a network, checked on the way in.
+"""Checkpoint files of the predictors: one msgpack file a network, checked when it is read.
 
 `phi_auto.msgpack`, `phi_human.msgpack`, `gain.msgpack` and `failure.msgpack` (flax.serialization's
 msgpack, no pickle anywhere) hold
@@ -12,7 +12,7 @@ and the payload, again msgpack,
      "scale": [F], "data_sha256": of the Parquet file it was trained on, "scenes": int,
      "rows": int, "config": {setting: value as text}, "figures": {name: number}}
 
-with float32 arrays. The digest is there because a flipped bit in a weight is still a weight.
+with float32 arrays. Only the digest finds a flipped bit in a weight: the result is still a number.
 """
 
 import dataclasses
@@ -36,7 +36,7 @@ VERSION = 2
 PAIR = ("phi_auto", "phi_human")  # the paper's
 NETWORKS = (*PAIR, "gain", "failure")
 _WHAT = "a predictor checkpoint (.msgpack)"
-_LARGEST = 64 * MIB  # of a file; those that ship take 0.1
+_LARGEST = 64 * MIB  # of a file; the shipped ones take 0.1 MiB
 _FIELDS = {
     "network": str,
     "hidden": list,
@@ -55,16 +55,16 @@ _FIELDS = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A trained predictor and where it comes from.
+    """A trained predictor, and the data and settings that it was trained with.
 
     Attributes:
       network: one of `NETWORKS`.
-      predictor: the network with its normalisation.
+      predictor: the network and its normalisation.
       data_sha256: hex digest of the `runs.parquet` or `forks.parquet` it was trained on.
       scenes: scenes with at least one row, training and validation together.
       rows: rows, training and validation together.
       config: settings of the training, as text.
-      figures: `loss_train`, `loss_val` and whatever else the training measured; units of cost.
+      figures: `loss_train`, `loss_val` and other results of the training; units of cost.
     """
 
     network: str
@@ -85,7 +85,7 @@ def save(path: Path | str, checkpoint: Checkpoint) -> None:
     """Write a checkpoint, whole or not at all.
 
     Raises:
-      BadInput: it would not load again (a weight is not finite, say), or cannot be written there.
+      BadInput: the file would not load again (a weight is not finite, say) or cannot be written.
     """
     predictor = checkpoint.predictor
     content = {
@@ -125,12 +125,12 @@ def load(path: Path | str | Traversable) -> Checkpoint:
     if isinstance(source, Path):
         data = read_file(source, _WHAT, _LARGEST)
     elif source.is_file():
-        data = source.read_bytes()  # of a package, perhaps within a zip file
+        data = source.read_bytes()  # a package's file, perhaps within a zip file
     else:
         raise BadInput(f"{source}: no such file, expected {_WHAT}")
     outer = _unpack(data, str(source))
     version, digest, payload = (outer.get(field) for field in ("version", "sha256", "payload"))
-    # Types before values: a foreign file may hold arrays here, which do not compare to a bool.
+    # Check types before values: a foreign file may hold arrays, and comparing one gives no bool.
     if type(version) is not int:
         raise BadInput(f"{source}: not a predictor checkpoint, it has no version number")
     if version != VERSION:
@@ -143,7 +143,7 @@ def load(path: Path | str | Traversable) -> Checkpoint:
 
 
 def load_network(folder: Traversable, network: str) -> Checkpoint:
-    """One network of a folder; BadInput as `load`, or the file holds another network."""
+    """Read one network of a folder; BadInput as `load`, or if the file holds another network."""
     source = folder / checkpoint_name(network)
     checkpoint = load(source)
     if checkpoint.network != network:
@@ -162,7 +162,7 @@ def shipped_checkpoints() -> Traversable:
     if inside.is_dir():
         return inside
     # A source tree (an editable install too) keeps them one level up; the build moves them in.
-    # site-packages may hold a `checkpoints` of another package's, hence the look at pyproject.
+    # site-packages may hold another package's folder `checkpoints`, so look for pyproject as well.
     root = Path(str(package)).parent
     if (root / "pyproject.toml").is_file() and (root / "checkpoints").is_dir():
         return root / "checkpoints"
@@ -172,7 +172,7 @@ def shipped_checkpoints() -> Traversable:
 def _unpack(data: bytes, name: str) -> dict[str, Any]:
     try:
         content = serialization.msgpack_restore(data)
-    except Exception as error:  # msgpack, numpy and flax raise what they like on foreign bytes
+    except Exception as error:  # msgpack, numpy and flax raise many types on foreign bytes
         raise BadInput(f"{name}: truncated or corrupt, not a predictor checkpoint") from error
     if not isinstance(content, dict):
         raise BadInput(f"{name}: not a predictor checkpoint, expected a mapping")
@@ -189,7 +189,7 @@ def _from_content(content: dict[str, Any], name: str) -> Checkpoint:
         expected = " or ".join(NETWORKS)
         raise BadInput(f"{name}: network is {content['network']!r}, expected {expected}")
     features = content["features"]
-    # Names first: what is no text may not even be hashable.
+    # Check that names are text first: other values may not be hashable.
     named = all(type(feature) is str for feature in features)
     if not named or not features or not set(features) <= set(STATE):
         raise BadInput(f"{name}: features are not all among {', '.join(STATE)}")

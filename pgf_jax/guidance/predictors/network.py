@@ -1,9 +1,11 @@
-"""The predictors: what the cost will be, with help and without (Papallas & Dogar 2022, Alg. 3).
+"""Networks that predict costs and gains from a robot's features (Papallas & Dogar 2022, Alg. 3).
 
-phi_auto and phi_human are two `Predictor`s of one kind: features of the last P = 3 iterations in,
-the cost of the best trajectory l = 10 reach iterations on out (`rows` defines both). The gain that
-a robot bids is the difference of the two: a `Pair`. `Direct` and `Failure` are `Bidder`s of other
-kinds.
+The paper has two, phi_auto and phi_human. Their inputs are features of the last P = 3 iterations
+(`features.FEATURES`); their outputs are the cost of the best trajectory l = 10 reach iterations on,
+without help and with it (`training.rows` defines these targets). A `Predictor` is such a network.
+
+Robots bid what a `GainPredictor` says: the paper's `CostDifference` of these two networks, or
+`GainNetwork` and `FailureClassifier`, which have one network each.
 """
 
 import dataclasses
@@ -18,15 +20,12 @@ from flax import linen as nn
 
 from pgf_jax.guidance.predictors.features import FEATURES, STATE
 
-HIDDEN = (64, 32, 8)
-
-
-# Rows evaluated in one call; a constant, so that there is one compiled program (see `predict`).
-LANES = 32
+HIDDEN = (64, 32, 8)  # widths of the paper's hidden layers
+LANES = 32  # rows in one call; a constant, so that there is one compiled program (see `predict`)
 
 
 class MLP(nn.Module):
-    """Features in, one number out: ReLU layers of the given widths, then a linear unit."""
+    """The paper's network: ReLU layers of the given widths, then a linear unit; one number out."""
 
     hidden: tuple[int, ...] = HIDDEN
     dropout: float = 0.0  # share of the units dropped after each hidden layer, where a key is given
@@ -44,14 +43,16 @@ class MLP(nn.Module):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class Predictor:
-    """A trained network, or E of them that vote, with the normalisation of its input; a pytree.
+    """A trained network with the normalisation of its input; a pytree.
+
+    It may be an ensemble of E networks (members); its prediction is the mean of theirs.
 
     Attributes:
       params: parameters, `{"Dense_i": {"kernel": [E, in, out], "bias": [E, out]}}` float32.
       mean: [F] float32, subtracted from the features.
       scale: [F] float32, the features are divided by it; 1 where a feature never varied.
       hidden: widths of the hidden layers (static).
-      features: names of its inputs, of `state.STATE` (static).
+      features: names of its inputs, among `features.STATE` (static).
     """
 
     params: Mapping[str, Any]
@@ -61,7 +62,7 @@ class Predictor:
     features: tuple[str, ...] = dataclasses.field(default=FEATURES, metadata={"static": True})
 
     def predict(self, features: np.ndarray | jax.Array) -> np.ndarray:
-        """Predictions, the mean of its members'; nan where a feature is not finite.
+        """Predict one number for each row of features; nan where a feature is not finite.
 
         A row's prediction depends on that row alone, bit for bit: rows are evaluated one after
         another within one compiled program of fixed shape, whatever B is.
@@ -85,45 +86,8 @@ class Predictor:
         return np.where(np.isfinite(rows).all(axis=1), cost, np.float32(np.nan))
 
     def of_states(self, states: np.ndarray) -> np.ndarray:
-        """[B, S] states, of which it takes its features -> [B] predictions."""
+        """Predict from whole states: [B, S] -> [B]; the network takes its own features of them."""
         return self.predict(states[:, [STATE.index(name) for name in self.features]])
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class CostDifference:
-    """The paper's: two costs are predicted, and the gain is their difference."""
-
-    auto: Predictor
-    human: Predictor
-
-    def gain(self, states: np.ndarray) -> np.ndarray:
-        """phi_auto - phi_human, each clipped at 0, in units of cost; see `Bidder.gain`."""
-        zero = np.float32(0)
-        auto, human = (phi.of_states(states) for phi in (self.auto, self.human))
-        return np.maximum(auto, zero) - np.maximum(human, zero)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class GainNetwork:
-    """The gain itself is predicted; learned from forks, where it is known."""
-
-    network: Predictor
-
-    def gain(self, states: np.ndarray) -> np.ndarray:
-        """Predicted gain, in units of cost; see `Bidder.gain`."""
-        return self.network.of_states(states)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class FailureClassifier:
-    """The probability of being unsolved `rows.LOOK_AHEAD` iterations on without help."""
-
-    network: Predictor  # of the log-odds
-
-    def gain(self, states: np.ndarray) -> np.ndarray:
-        """Predicted probability; see `Bidder.gain`."""
-        # The logistic function in a form that does not overflow.
-        return 0.5 * (1 + np.tanh(0.5 * self.network.of_states(states)))
 
 
 def forward(
@@ -133,12 +97,12 @@ def forward(
     dropout: float = 0.0,
     key: jax.Array | None = None,
 ) -> jax.Array:
-    """[F] features of one robot -> [] prediction; traceable, `vmap` it for more.
+    """Predict from the features of one robot: [F] -> []; traceable, `vmap` it for more robots.
 
     Args:
       predictor: the network.
       features: of one robot.
-      dropout: while training: share of the hidden units that is dropped, by `key`.
+      dropout: share of the hidden units that is dropped in training, where there is a `key`.
       key: consumed.
     """
     x = (features - predictor.mean) / predictor.scale
@@ -153,12 +117,6 @@ def forward(
     return jax.vmap(member)(predictor.params).mean()
 
 
-def combine(members: Sequence[Predictor]) -> Predictor:
-    """One predictor of several that were trained on the same rows."""
-    params = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *(m.params for m in members))
-    return dataclasses.replace(members[0], params=params)
-
-
 @jax.jit
 def _predict_lanes(predictor: Predictor, features: jax.Array) -> jax.Array:
     # `map`, not `vmap`: a batched matrix product may sum a row differently at another position.
@@ -166,7 +124,7 @@ def _predict_lanes(predictor: Predictor, features: jax.Array) -> jax.Array:
 
 
 def normalisation(features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and scale (the standard deviation, 1 where that is zero) of features.
+    """Compute the mean and the scale (standard deviation, 1 where it is zero) of features.
 
     Args:
       features: [M, F].
@@ -194,10 +152,10 @@ def init(
     hidden: tuple[int, ...] = HIDDEN,
     names: tuple[str, ...] = FEATURES,
 ) -> Predictor:
-    """An untrained predictor that is right about the mean and the spread of its target.
+    """Make an untrained predictor with the mean and the spread of its target.
 
     The last layer's initial weights are scaled by the target's standard deviation and its bias is
-    the target's mean: costs are in the hundreds, and Adam would spend its epochs getting there.
+    the target's mean: costs are in the hundreds, and Adam would need many epochs to get there.
 
     Args:
       key: consumed.
@@ -222,3 +180,49 @@ def init(
         hidden=hidden,
         features=names,
     )
+
+
+def combine(members: Sequence[Predictor]) -> Predictor:
+    """Combine predictors that were trained on the same rows into one ensemble."""
+    params = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *(m.params for m in members))
+    return dataclasses.replace(members[0], params=params)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CostDifference:
+    """The paper's gain predictor: predicts two costs, whose difference is the gain."""
+
+    auto: Predictor
+    human: Predictor
+
+    def gain(self, states: np.ndarray) -> np.ndarray:
+        """phi_auto - phi_human, each clipped at 0, in units of cost; see `GainPredictor.gain`."""
+        zero = np.float32(0)
+        auto, human = (phi.of_states(states) for phi in (self.auto, self.human))
+        return np.maximum(auto, zero) - np.maximum(human, zero)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GainNetwork:
+    """Gain predictor with one network, which was trained on the true gains of forks."""
+
+    network: Predictor
+
+    def gain(self, states: np.ndarray) -> np.ndarray:
+        """Predicted gain, in units of cost; see `GainPredictor.gain`."""
+        return self.network.of_states(states)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FailureClassifier:
+    """Predicts failure: the probability of being unsolved 10 iterations on without help.
+
+    The number of iterations is `planning.types.LOOK_AHEAD`.
+    """
+
+    network: Predictor  # of the log-odds
+
+    def gain(self, states: np.ndarray) -> np.ndarray:
+        """Predicted probability, which is bid in place of a gain; see `GainPredictor.gain`."""
+        # The logistic function in a form that does not overflow.
+        return 0.5 * (1 + np.tanh(0.5 * self.network.of_states(states)))

@@ -1,4 +1,4 @@
-"""Which predictor a study uses: by name, the shipped ones, or from a folder of one's own."""
+"""Finds predictors by name: the shipped ones, or those in a folder of the user's."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -25,22 +25,22 @@ PREDICTORS = ("paper", "best")
 
 @dataclasses.dataclass(frozen=True)
 class PredictorSpec:
-    """A predictor that was asked for.
+    """Names a predictor and the folder of its checkpoints.
 
     Attributes:
       name: one of `NETWORKS`.
-      folder: where its checkpoints lie; None: those that ship.
+      folder: the folder of its checkpoints; None: the shipped ones.
     """
 
     name: str = "paper"
     folder: Path | None = None
 
     def files(self) -> Traversable:
-        """The folder."""
+        """The folder of the checkpoints."""
         return shipped_checkpoints() if self.folder is None else self.folder
 
     def load(self) -> tuple[GainPredictor, tuple[Checkpoint, ...]]:
-        """The predictor, and the checkpoints that it is made of.
+        """Load the predictor; returns it and the checkpoints that it is made of.
 
         Raises:
           BadInput: one line that names the folder or the file.
@@ -50,13 +50,14 @@ class PredictorSpec:
             raise BadInput(f"{folder}: no such folder, expected one with checkpoints")
         checkpoints = tuple(load_network(folder, network) for network in NETWORKS[self.name])
         networks = [checkpoint.predictor for checkpoint in checkpoints]
-        # NumPy leaves: arrays of JAX would start its backend wherever they are unpickled.
+        # NumPy leaves: JAX arrays would start JAX's backend in every process that unpickles them.
         return _MAKE[self.name](*(jax.tree.map(np.asarray, net) for net in networks)), checkpoints
 
 
 def predictor_spec(text: str) -> PredictorSpec:
-    """What `--predictor TEXT` asks for: `paper` or `best`, those of a folder, `best:FOLDER`, or a
-    folder, for the paper's pair in it.
+    """Parse `--predictor TEXT`: `paper`, `best`, `paper:FOLDER`, `best:FOLDER` or `FOLDER`.
+
+    A folder alone stands for the paper's pair of networks in it.
     """
     if text in PREDICTORS:
         return PredictorSpec(text)

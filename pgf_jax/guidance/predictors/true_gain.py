@@ -1,4 +1,4 @@
-"""The gain that a robot will really have from help: what the policy `oracle-gain` bids (D7)."""
+"""The true gain from help, computed by rollouts; robots bid it under the policy `oracle-gain`."""
 
 import dataclasses
 
@@ -13,35 +13,42 @@ from pgf_jax.planning.types import LOOK_AHEAD
 
 @dataclasses.dataclass(frozen=True)
 class TrueGain:
-    """In place of a predictor: no prediction at all, both futures are planned.
+    """Simulates both futures, with help and without, in place of a predictor.
 
-    They use the robot's own noise and the input that the operator would give now, so they are what
-    will happen, up to the other inputs that may come within the look-ahead: no predictor could know
-    more. It is known when the paper's prediction is, so that the two differ in knowledge alone.
+    The futures use the robot's own noise and the input that the operator would give now, so they
+    are what will happen, except for other inputs within the look-ahead: no predictor could know
+    more. The gain is known from the same iteration on as the paper's prediction, so that the two
+    differ in knowledge alone.
     """
 
-    def deliberate(
-        self, search: Search, what: Request, planner: BatchPlanner, at: DecisionKey
+    def simulate_gain(
+        self,
+        search: Search,
+        input_request: Request,
+        planner: BatchPlanner,
+        decision_key: DecisionKey,
     ) -> Coroutine:
-        """c_d + c_f + c_b of the best trajectory `LOOK_AHEAD` reach iterations on, without help
-        less with it; nan where it is solved, while the history is short,
-        and where either future blows up.
+        """Coroutine that returns the gain: the cost without help minus the cost with help.
+
+        The cost is c_d + c_f + c_b of the best trajectory `LOOK_AHEAD` reach iterations on. The
+        gain is nan where the reach is solved, while its history is short, and where a cost of
+        either future is not finite.
 
         Args:
           search: a reach.
-          what: asks for the operator's input as it would be now.
+          input_request: request for the input that the operator would give now.
           planner: of the search.
-          at: whose turn it is.
+          decision_key: identifies the robot's iteration; the keys of its noise are made of it.
         """
         if planner.terminate(search) or not np.isfinite(search.history).all():
             return np.nan
-        (push,) = yield [what]
+        (push,) = yield [input_request]
         if push is None:
             return 0.0
-        words = robot_key_path(*at)
+        key_paths = robot_key_path(*decision_key)
         alone, helped = yield from gather(
             [
-                simulate_input(planner, search, given, words, reach_limit=LOOK_AHEAD)
+                simulate_input(planner, search, given, key_paths, reach_limit=LOOK_AHEAD)
                 for given in (None, push)
             ]
         )

@@ -1,4 +1,4 @@
-"""What the engine needs of the compiled model: read from it, never typed in again."""
+"""Constants of engine `planar`, read from the compiled model so that no number is given twice."""
 
 # MuJoCo's compiled modules come without type stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -16,7 +16,7 @@ N_WALLS = 2  # rows: the back wall, and the side wall that is nearer
 
 
 class Constants(NamedTuple):
-    """Numbers of one compiled model. G rows of an object: C capsules, then `N_WALLS` walls."""
+    """Numbers of one compiled model. An object has G rows: C capsules, then `N_WALLS` walls."""
 
     substep_s: float
     mass: float  # with armature, kg
@@ -37,10 +37,10 @@ class Constants(NamedTuple):
 
 
 def read(physics: Physics, n_objects: int) -> Constants:
-    """Constants of the compiled model.
+    """Read the constants from the compiled model.
 
     Raises:
-      BadInput: the model is not disks that are all alike on slides, with one softness.
+      BadInput: objects differ, are no disks on slides, or contacts differ in softness.
     """
     m = model.compile_model(physics, n_objects)
     capsules = model.hand_geoms(m)
@@ -105,7 +105,7 @@ def read(physics: Physics, n_objects: int) -> Constants:
 
 
 def _impedance(solimp: np.ndarray) -> float:
-    """The one impedance of all rows: constant, so that it does not depend on the gap."""
+    """The impedance of all rows: one constant, which does not depend on the gap."""
     if np.ptp(solimp, axis=0).any() or solimp[0, 0] != solimp[0, 1]:
         raise BadInput("engine planar: solimp must be one constant impedance in the whole model")
     return float(np.clip(solimp[0, 0], mujoco.mjMINIMP, mujoco.mjMAXIMP))
@@ -114,6 +114,6 @@ def _impedance(solimp: np.ndarray) -> float:
 def _reference(
     m: mujoco.MjModel, timeconst: float, ratio: float, impedance: float
 ) -> tuple[float, float]:
-    """(b, k) of MuJoCo's solref, its time constant kept to at least two substeps."""
+    """(b, k) of MuJoCo's solref, with the time constant raised to at least two substeps."""
     timeconst = max(timeconst, 2 * m.opt.timestep)
     return 2 / (impedance * timeconst), 1 / (impedance * timeconst * ratio) ** 2

@@ -1,10 +1,11 @@
-"""The contact problem of one substep (`Problem`): rows, cost, gradient, Hessian, forces.
+"""The contact problem of one substep (`Problem`): rows, gradient, Hessian and forces.
 
-Arrays have the lanes last, so that every loop runs over them: A objects that take part, G ground
-rows of each (the hand's capsules and the walls: bodies whose motion is given), C lanes.
+Lanes are the last axis of every array, so that every loop runs over them. Axes: A objects that take
+part, G ground rows of each (the hand's capsules and the walls: bodies whose motion is given), C
+lanes.
 
-MuJoCo's unknown is the acceleration a; with one softness for all contacts its reference
-acceleration is -b v - k imp gap, so that in w = a + b v each row is linear with a constant part:
+MuJoCo's unknown is the acceleration a. With one softness for all contacts its reference
+acceleration is -b v - k imp gap, so in w = a + b v each row is linear with a constant part:
 along the normal P = n.w + k imp gap - b n.v_ground, along the tangent Q = mu (t.w - b t.v_ground).
 The edges of the pyramid are P (twice), P + Q and P - Q; an edge of value x costs D/2 min(0, x)^2.
 """
@@ -16,12 +17,12 @@ import jax.numpy as jnp
 
 from pgf_jax.physics.planar.constants import Constants
 
-# P of a row that is not in contact: far on the side that costs nothing.
+# P of a row that is not in contact: positive, so that it costs nothing.
 APART = 1e6
 
 
 class Hand(NamedTuple):
-    """The hand during one substep, in the world's frame."""
+    """Capsules of the hand during one substep, in the world's frame."""
 
     start: tuple[jax.Array, jax.Array]  # [H, C] one end of each capsule's axis, m
     along: tuple[jax.Array, jax.Array]  # [H, C] from there to the other end
@@ -29,7 +30,7 @@ class Hand(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """Rows of one substep."""
+    """The contact problem of one substep: its rows."""
 
     free: tuple[jax.Array, jax.Array]  # [A, C] w without any constraint, m/s^2
     friction: tuple[jax.Array, jax.Array]  # [A, C] what joint friction adds to w
@@ -48,7 +49,7 @@ def build(
     vy: jax.Array,
     hand: Hand,
 ) -> Problem:
-    """Rows for objects [A, C] at (x, y) m, moving with (vx, vy) m/s."""
+    """Build the rows for objects [A, C] at (x, y) m, moving with (vx, vy) m/s."""
     b = c.reference
     # The hand: a disk against each capsule's axis.
     ax, ay = hand.start[0][:, None], hand.start[1][:, None]
@@ -93,7 +94,7 @@ def build(
 
 
 class Slopes(NamedTuple):
-    """Gradient [A, C] and 2x2 blocks of the Hessian (diagonal [A, C], coupling [A, A, C])."""
+    """Gradient [A, C], and 2x2 blocks of the Hessian (diagonal [A, C], coupling [A, A, C])."""
 
     gradient: tuple[jax.Array, jax.Array]
     diagonal: tuple[jax.Array, jax.Array, jax.Array]  # xx, xy, yy
@@ -110,9 +111,9 @@ def slopes(c: Constants, p: Problem, wx: jax.Array, wy: jax.Array) -> Slopes:
     xx = c.mass + jnp.where(jnp.abs(fx) < limit, D, 0.0)
     yy = c.mass + jnp.where(jnp.abs(fy) < limit, D, 0.0)
     total = (gx, gy, xx, jnp.zeros_like(xx), yy)
-    # The rows of an object one after another: their sums stay in registers. Reductions over
-    # [G, A, C] would compute all rows again for each of the five sums, or, where XLA hands them to
-    # a library, write them out first.
+    # The rows of an object are added one after another, so that their sums stay in registers.
+    # Reductions over [G, A, C] would compute all rows again for each of the five sums, or write
+    # them out first where XLA hands the reduction to a library.
     for g, (mu, D) in enumerate(zip(c.ground_friction, c.ground_weight, strict=True)):
         row = _Row(p.ground_n[0][g], p.ground_n[1][g], p.ground_p[g], p.ground_q[g])
         total = _add(total, _derivatives(row, wx, wy, float(mu), float(D)))
@@ -148,7 +149,7 @@ class _Row(NamedTuple):
 
 
 def _derivatives(row: _Row, wx: jax.Array, wy: jax.Array, mu: float, D: float):
-    """Of a contact's cost by (wx, wy): gradient x, y, Hessian xx, xy, yy."""
+    """Derivatives of a contact's cost by (wx, wy): gradient x, y, Hessian xx, xy, yy."""
     nx, ny = row.nx, row.ny
     P, Q = nx * wx + ny * wy + row.p, mu * (nx * wy - ny * wx) + row.q
     plus, minus = P + Q, P - Q

@@ -1,11 +1,11 @@
-"""Engine `planar`: one jitted program that keeps chunks of lanes full of objects that move.
+"""Engine `planar`: one jitted program that computes only the objects that can move.
 
-A lane is one rollout, its unit of work a knot. Before a knot the lane is put into the class of the
-smallest size A that holds all objects that can move in it (`reach`); then as many lanes as fill a
-chunk, all of one class but each at its own knot, go through it together, with A objects each.
-Afterwards it is checked that nothing was touched that took no part; a lane that fails does the knot
-again with what was. So a lane's result depends on its own state alone, and is that of the full
-problem.
+A lane is one rollout, and its unit of work is a knot. Before a knot the lane gets a class: the
+smallest size A that holds all objects that can move in the knot (`reach`). Then as many lanes as
+fill a chunk, all of one class but each at its own knot, go through their knots together, with A
+objects each. Afterwards the engine checks that no other object was touched; a lane that fails this
+check does the knot again, with the touched objects. So a lane's result depends on its own state
+alone, and equals that of the full problem.
 """
 
 import functools
@@ -22,19 +22,19 @@ from pgf_jax.physics.planar.motion import Motion, Objects
 
 SIZES = (4, 8, 12)  # A; then N
 CHUNK = 16  # lanes that go through a knot together
-SWEEP = 5  # poses that bound the hand's sweep
+SWEEP = 5  # poses along a knot, which bound the hand's sweep
 
 
 class _State(NamedTuple):
-    """All lanes of a call, [..., B], and what they leave behind."""
+    """State of all lanes of a call, [..., B], and their results so far."""
 
     objects: Objects  # [N, B] each
     pose: jax.Array  # [3, B]
-    knot: jax.Array  # [B] the next one
+    knot: jax.Array  # [B] number of the next knot
     travel: jax.Array  # [N, B] `reach.travel` in it
-    size: jax.Array  # [B] its class: 0 nothing moves, k the k-th size; -1: done, or not wanted
+    size: jax.Array  # [B] class: 0 nothing moves, k the k-th size; -1: done, or not wanted
     out: tuple[jax.Array, ...]  # Rollout's arrays but for the velocities
-    work: jax.Array  # [2] lanes of the chunks that were computed; those of them that were of use
+    work: jax.Array  # [2] lanes of the chunks that were computed; those of them that were used
 
 
 class PlanarEngine:
@@ -60,13 +60,13 @@ class PlanarEngine:
         self._work = np.zeros(2, np.int64)
         self._chunk = chunk
         self._sizes = (*(a for a in sizes if a < n_objects), n_objects)
-        # The default, 256 bits, halves the speed where there are wider registers; a processor that
-        # has none ignores it.
+        # XLA's default, 256 bits, halves the speed where there are wider registers; a processor
+        # without them ignores the option.
         options = {"xla_cpu_prefer_vector_width": 512} if jax.default_backend() == "cpu" else None
         self._jitted = jax.jit(self._rollout, compiler_options=options)
 
     def rollout(self, start: World, controls, gripper, substeps: int, wanted=None) -> Rollout:
-        """See `Engine.rollout`; what is not wanted costs nothing, and comes back as zeros."""
+        """See `Engine.rollout`; rollouts that are not wanted cost nothing and are zeros."""
         wanted = np.ones(len(controls), bool) if wanted is None else np.asarray(wanted, bool)
         start = World(*(jnp.asarray(a, jnp.float32) for a in start))
         controls, gripper = jnp.asarray(controls, jnp.float32), jnp.asarray(gripper, jnp.float32)
@@ -75,9 +75,9 @@ class PlanarEngine:
         return rollout
 
     def occupancy(self) -> tuple[int, int]:
-        """Lanes of work since the last call of this: (that were of use, that were computed).
+        """Lanes of work since the last call of `occupancy`: (used, computed).
 
-        Not of use are lanes that were left empty, and knots that had to be done again.
+        Computed but not used are empty lanes of a chunk, and knots that had to be done again.
         """
         computed, used = self._work
         self._work = np.zeros(2, np.int64)
@@ -91,7 +91,7 @@ class PlanarEngine:
         velocities = jnp.moveaxis(controls, 0, -1)  # [T, 3, B]
 
         def motion_in(knot, lane, pose) -> Motion:
-            """Of lanes [C], each in its own knot; none before the first."""
+            """Motion of the hand in lanes [C], each at its own knot; none before the first."""
             before = knot < 0
             knot = jnp.clip(knot, 0, t - 1)
             velocity = jnp.where(before, 0.0, velocities[knot, :, lane].T)
@@ -121,7 +121,7 @@ class PlanarEngine:
         state = _State(
             objects,
             start.hand.T,
-            # Before the first knot is one in which nothing moves: it finds the first's class.
+            # Each lane begins with a knot -1 in which nothing moves: it finds the class of knot 0.
             jnp.full(b, -1, jnp.int32),
             zero,
             jnp.where(wanted, 0, -1),
@@ -152,7 +152,7 @@ class PlanarEngine:
             after, more, force, bodies = jax.lax.switch(kind, branches, substeps, before, far, now)
             after = jax.tree.map(lambda a, v: jnp.where(knot < 0, v, a), after, before)
 
-            # A lane in which something else was touched does it again, with that.
+            # A lane in which another object was touched does the knot again, with that object.
             fine = ~(more > 0).any(0)
             again = jnp.maximum(far, more)
             where = jnp.where(fine, lane, b)
@@ -184,7 +184,7 @@ class PlanarEngine:
         return lambda done: motion.hand_at(self.physics, self._shape, now, done, substeps)
 
     def _stand(self, substeps, objects: Objects, far, now):
-        """Nothing can move."""
+        """Do a knot in which no object can move."""
         c = far.shape[1]
         zero = jnp.zeros_like(objects.vx)
         still = Objects(objects.x, objects.y, zero, zero, zero, zero)
@@ -193,11 +193,11 @@ class PlanarEngine:
         return still, jnp.zeros_like(far), no_force, no_bodies
 
     def _advance(self, a: int, substeps, objects: Objects, far, now):
-        """A knot with the `a` objects that get furthest.
+        """Do a knot with the `a` objects that may move furthest.
 
         Returns:
-          All objects after it; [N, C] how deep others may have been touched (m, 0: not); the
-          strongest contacts.
+          All objects after the knot; [N, C] how deep the other objects may have been touched
+          (m, 0: not); the strongest contacts.
         """
         order = jnp.argsort(-far, axis=0, stable=True)
         mine, others = order[:a], order[a:]

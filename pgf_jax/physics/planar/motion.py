@@ -1,4 +1,4 @@
-"""How the hand moves during a knot, and the knot's substeps for the objects that take part."""
+"""Motion of the hand during a knot, and the knot's substeps for the objects that take part."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from pgf_jax.physics.planar.solver import solve
 
 
 class Motion(NamedTuple):
-    """Of the hand during a knot, lanes last."""
+    """Motion of the hand during a knot; lanes are the last axis."""
 
     pose: jax.Array  # [3, C] at the knot's start: x, y (m), yaw (rad)
     velocity: jax.Array  # [3, C]
@@ -24,7 +24,7 @@ class Motion(NamedTuple):
 
 
 class Objects(NamedTuple):
-    """Of the objects that take part, [A, C] each: m, m/s, m/s^2."""
+    """State of the objects that take part, [A, C] each: m, m/s, m/s^2."""
 
     x: jax.Array
     y: jax.Array
@@ -35,7 +35,7 @@ class Objects(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """The hand as a function of the gripper, for arithmetic alone (see `fit_shape`)."""
+    """Coefficients that give the hand's shape at any gripper value (see `fit_shape`)."""
 
     segments: np.ndarray  # [DEGREE + 1, 2, 2, H] coefficients of start/end, x/y in g / 127.5 - 1
     creep_knots: np.ndarray  # [8] gripper values at which the creep's slope changes
@@ -47,9 +47,9 @@ DEGREE = 5  # of the polynomials: within 1e-8 m of the links' rotations
 
 
 def fit_shape(physics: Physics) -> Shape:
-    """Polynomials and ramps that give `hand.capsule_segments` and `hand.creep` at any gripper.
+    """Fit polynomials to `hand.capsule_segments` and ramps to `hand.creep`.
 
-    Sines, cosines and table look-ups for each lane and substep would cost as much as the contacts.
+    Sines, cosines and table look-ups in each lane and substep would cost as much as the contacts.
     """
     nodes = np.cos(np.pi * (np.arange(2 * DEGREE) + 0.5) / (2 * DEGREE))
     values = np.stack([hand.capsule_segments((x + 1) * hand.GRIPPER_CLOSED / 2) for x in nodes])
@@ -67,7 +67,7 @@ def fit_shape(physics: Physics) -> Shape:
 
 
 def hand_at(physics: Physics, shape: Shape, motion: Motion, done, substeps) -> Hand:
-    """The hand when `done` of the knot's `substeps` are done."""
+    """The hand's capsules when `done` of the knot's `substeps` are done."""
     before, after = motion.gripper
     gripper = before + (after - before) * (done / substeps)  # [C]
     elapsed = done * physics.substep_s
@@ -114,11 +114,11 @@ def knot(
     iterations: int,
     cg_iterations: int,
 ) -> tuple[Objects, jax.Array, tuple[jax.Array, jax.Array]]:
-    """A knot's substeps; `hand_after` gives the hand when a number of them are done.
+    """Do a knot's substeps; `hand_after` gives the hand after a number of them.
 
     Returns:
-      The objects after them; [A, C] how far each was from its start at most, squared (m^2); and
-      the forces of the last substep's contacts (`contact.forces`).
+      The objects after them; [A, C] the largest distance of each from its start, squared (m^2);
+      and the forces of the last substep's contacts (`contact.forces`).
     """
     x0, y0 = objects.x, objects.y
     b, dt = c.reference, c.substep_s

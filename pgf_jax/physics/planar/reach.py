@@ -1,8 +1,9 @@
-"""Which objects can move during a knot: the list that the knot's work is compacted to.
+"""Finds the objects that can move during a knot, so that only these are computed.
 
-An object takes part if it moves, if the hand can touch it, or if one that takes part can be pushed
-into it. The hand's sweep is bounded from a few poses along the knot; how far a pushed object gets
-is a guess, and checked afterwards (`touched`): nothing rests on the guess but speed.
+An object takes part if it moves, if the hand can touch it, or if an object that takes part can be
+pushed into it. The hand's sweep is bounded from a few poses along the knot. How far a pushed object
+gets is a guess that is checked afterwards (`touched`): a wrong guess costs time, but never changes
+a result.
 """
 
 import jax
@@ -11,17 +12,17 @@ import jax.numpy as jnp
 from pgf_jax.physics.planar.constants import Constants
 from pgf_jax.physics.planar.contact import Hand
 
-REST = 1e-4  # m/s below which an object that nothing touches stands still (MuJoCo's sleep)
+REST = 1e-4  # m/s; an object that is slower and not touched stands still (MuJoCo's sleep)
 DECELERATION = 3.0  # m/s^2 at least, of a sliding object: friction loss over mass, with a margin
 SLACK = 5e-4  # m added to every guess
-ASIDE = 0.7  # of its way, how far an object may get in any other direction
-ROUNDS = 4  # objects in a row that one push moves
+ASIDE = 0.7  # share of its way that an object may get in any other direction
+ROUNDS = 4  # objects in a row that one push can move
 
 
 def travel(
     c: Constants, x: jax.Array, y: jax.Array, vx: jax.Array, vy: jax.Array, sweep: Hand
 ) -> jax.Array:
-    """[N, C] a guess at how far each object gets, m; 0 where it cannot move.
+    """Guess how far each object gets: [N, C] m; 0 where it cannot move.
 
     Args:
       c: constants.
@@ -33,7 +34,7 @@ def travel(
     speed = jnp.sqrt(vx * vx + vy * vy)
     coasting = jnp.where(speed > REST, speed**2 / (2 * DECELERATION) + SLACK, 0.0)
     pushed = jnp.where(depth > 0, depth + SLACK, 0.0)
-    # Which way: out of the hand, or on as before.
+    # The direction: out of the hand, or on as before.
     ahead = 1 / jnp.maximum(speed, REST)
     mx = jnp.where(pushed > coasting, pushed * nx, coasting * vx * ahead)
     my = jnp.where(pushed > coasting, pushed * ny, coasting * vy * ahead)
@@ -41,8 +42,8 @@ def travel(
     dx, dy = x[None] - x[:, None], y[None] - y[:, None]  # [from, to, C]
     other = ~jnp.eye(len(x), dtype=bool)[..., None]
     for _ in range(ROUNDS):
-        # How deep the way of one ends up in another, which then goes as far along the line of
-        # centres.
+        # How deep the way of one object ends in another, which is then pushed as far along the
+        # line of centres.
         square = jnp.maximum(far * far, 1e-12)[:, None]
         t = jnp.clip((dx * mx[:, None] + dy * my[:, None]) / square, 0.0, 1.0)
         rx, ry = dx - t * mx[:, None], dy - t * my[:, None]
@@ -62,10 +63,10 @@ def travel(
 def touched(
     c: Constants, x: jax.Array, y: jax.Array, far: jax.Array, rest_x: jax.Array, rest_y: jax.Array
 ) -> jax.Array:
-    """How deep objects that got `far` ([A, C] m) from (x, y) may have been in resting ones.
+    """Bound how deep objects that got `far` ([A, C] m) from (x, y) were in resting objects.
 
     Returns:
-      [rest, C] m; <= 0: not touched, proven.
+      [rest, C] m; <= 0: certainly not touched.
     """
     dx, dy = x[:, None] - rest_x[None], y[:, None] - rest_y[None]
     free = jnp.sqrt(dx * dx + dy * dy) - 2 * c.radius
@@ -75,9 +76,9 @@ def touched(
 def _hand_depth(
     c: Constants, x: jax.Array, y: jax.Array, sweep: Hand
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """How deep the hand's sweep would get into each object, at most, and which way out.
+    """Bound how deep the hand's sweep gets into each object, and find the direction out of it.
 
-    [N, C] each: depth in m (<= 0: the hand cannot touch it), and the direction's x and y.
+    Returns [N, C] each: depth in m (<= 0: the hand cannot touch it), and the direction's x and y.
     """
     radii = jnp.asarray(c.capsule_radii, x.dtype)[:, None, None]
     ends = (sweep.start, (sweep.start[0] + sweep.along[0], sweep.start[1] + sweep.along[1]))

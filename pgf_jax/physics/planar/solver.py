@@ -1,10 +1,10 @@
 """Newton's method on the contact problem: conjugate gradients for the step, no line search.
 
-The cost is convex and piecewise quadratic, soft (impedance 0.5) and so well conditioned, and the
-last substep's acceleration is a good first guess: full Newton steps settle on the minimum's piece
-in two or three, and a few conjugate-gradient iterations with 2x2 block-Jacobi preconditioning are
-exact enough for each. The Hessian is at least the mass, so that no step is unbounded. Every lane
-does the same work. What else was tried: the table in README.md of this folder.
+The cost is convex and piecewise quadratic. Contacts are soft (impedance 0.5), so it is well
+conditioned, and the last substep's acceleration is a good first guess: two or three full Newton
+steps find the piece with the minimum, and a few conjugate-gradient iterations with 2x2 block-Jacobi
+preconditioning are exact enough for each step. The Hessian is at least the mass, so that no step is
+unbounded. Every lane does the same work. README.md of this folder lists what else was tried.
 """
 
 import jax
@@ -16,11 +16,11 @@ from pgf_jax.physics.planar.contact import Problem, Slopes
 
 Pair = tuple[jax.Array, jax.Array]
 
-_TINY = 1e-20  # divides 0 / 0 of a lane that has converged
+_TINY = 1e-20  # keeps 0 / 0 finite in a lane that has converged
 
 
 def solve(c: Constants, p: Problem, w: Pair, iterations: int, cg_iterations: int) -> Pair:
-    """w ([A, C] each) that minimises the cost, from a first guess."""
+    """Find the w ([A, C] each) that minimises the cost, from a first guess."""
 
     def newton(_, w: Pair) -> Pair:
         return _plus(w, 1.0, newton_step(contact.slopes(c, p, *w), cg_iterations))
@@ -29,7 +29,7 @@ def solve(c: Constants, p: Problem, w: Pair, iterations: int, cg_iterations: int
 
 
 def newton_step(s: Slopes, iterations: int) -> Pair:
-    """-H^-1 g by preconditioned conjugate gradients from zero."""
+    """Compute -H^-1 g by preconditioned conjugate gradients from zero."""
     kxx, kxy, kyy = s.coupling
     xx, xy, yy = s.diagonal
 
@@ -49,7 +49,7 @@ def newton_step(s: Slopes, iterations: int) -> Pair:
         return inverse * (yy * rx - xy * ry), inverse * (xx * ry - xy * rx)
 
     # XLA computes an intermediate again in every kernel that reads it, but not what enters a loop:
-    # so all that reads the derivatives stands in the loop, the first direction included.
+    # so everything that reads the derivatives is in the loop, the first direction included.
     def iterate(_, carry):
         step, residual, direction, before = carry
         z = precondition(residual)

@@ -1,14 +1,28 @@
-"""What predictors are told of a reach, by hand."""
+"""Features of a reach, worked out by hand."""
 
 import numpy as np
 import pytest
-from deliberations import DONE, native, stepped, unsolved
+from coroutines import DONE, native, stepped, unsolved
 
-from pgf_jax.guidance.predictors.features import FEATURES, STATE, state_features
+from pgf_jax.guidance.predictors.features import (
+    FEATURES,
+    STATE,
+    history_features,
+    state_features,
+)
 from pgf_jax.physics import hand
 from pgf_jax.planning.planner import start_world
 from pgf_jax.scene import sample_scene
 from pgf_jax.scene.scene import BACK_WALL_X, SIDE_WALL_Y
+
+
+def test_history_features():
+    assert np.isnan(history_features(20, [(1, 2, 3), (4, 5, 6)])).all()
+    history = [(0, 0, 0), (1, 2, 3), (4, 5, 6), (7, 8, 9)]
+    assert history_features(12, history).tolist() == [12, 1, 2, 3, 4, 5, 6, 7, 8, 9]
+    assert FEATURES[0] == "n_objects"
+    assert FEATURES[1:4] == ("c_d[t-2]", "c_f[t-2]", "c_b[t-2]")
+    assert FEATURES[7:] == ("c_d[t-0]", "c_f[t-0]", "c_b[t-0]")
 
 
 def test_the_paper_s_features_come_first():

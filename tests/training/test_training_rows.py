@@ -1,4 +1,4 @@
-"""Runs on disk and the training rows made of them: worked by hand, and against a plain oracle."""
+"""Training rows of runs: worked by hand, and against a plain oracle."""
 
 import subprocess
 import sys
@@ -8,10 +8,11 @@ import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from run_logs import helped_run, log, push, reach
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance.predictors.features import FEATURES, history_features
-from pgf_jax.tables.runs import RUN_SCHEMA, Mode, RunLog, read_runs, runs_path, write_runs
+from pgf_jax.guidance.predictors.features import FEATURES
+from pgf_jax.tables.runs import RUN_SCHEMA
 from pgf_jax.training.rows import (
     PUBLISHED,
     Rule,
@@ -22,53 +23,8 @@ from pgf_jax.training.rows import (
 )
 
 
-def log(scene="a", seed=0, n_objects=20):
-    return RunLog(scene=scene, seed=seed, scene_class="tight", n_objects=n_objects)
-
-
-def reach(run, costs, *, solved_last=False):
-    """Iterations whose whole cost is c_d."""
-    for i, cost in enumerate(costs):
-        run.add((cost, 0.0, 0.0), feasible=solved_last and i == len(costs) - 1)
-
-
-def push(run, iterations, *, feasible):
-    run.input_given()
-    run.begin_segment("push")
-    for i in range(iterations):
-        run.add((7.0, 0.0, 0.0), feasible=feasible and i == iterations - 1)
-
-
 def features_of_costs(*costs):
     return [20.0, *(x for cost in costs for x in (cost, 0.0, 0.0))]
-
-
-def test_log_writes_every_column():
-    run = log("s1", 3, 5)
-    run.begin_segment("reach")
-    run.add((1, 2, 3), feasible=False)
-    run.input_given()
-    run.add((1, 2, 0), feasible=False)
-    run.input_given()
-    run.begin_segment("push")
-    run.add((9, 0, 0), feasible=True)
-    run.begin_segment("reach")
-    run.add((0.05, 0, 0), feasible=True)
-    frame = run.frame()
-    assert dict(frame.schema) == RUN_SCHEMA
-    assert frame.rows() == [
-        ("s1", 3, "tight", 5, 0, "reach", 0, 1.0, 2.0, 3.0, False, False),
-        ("s1", 3, "tight", 5, 0, "reach", 1, 1.0, 2.0, 0.0, False, True),
-        ("s1", 3, "tight", 5, 1, "push", 2, 9.0, 0.0, 0.0, True, True),
-        ("s1", 3, "tight", 5, 2, "reach", 3, 0.05, 0.0, 0.0, True, False),
-    ]
-
-
-def test_log_refuses_nonsense():
-    with pytest.raises(RuntimeError, match="begin_segment"):
-        log().add((1, 2, 3), feasible=False)
-    with pytest.raises(BadInput, match="reach or a push, got 'pull'"):
-        log().begin_segment("pull")
 
 
 def test_autonomous_rows_of_a_run_that_times_out():
@@ -123,22 +79,6 @@ def test_history_restarts_with_each_segment():
         features_of_costs(780, 770, 760),
     ]
     assert rows.target.tolist() == [760, 760, 760]
-
-
-def helped_run():
-    """Three inputs: a push that succeeds, go on reaching, a push that is dropped."""
-    run = log()
-    run.begin_segment("reach")
-    reach(run, [900, 890, 880, 870, 860])  # iterations 0..4; counted 1..4
-    push(run, 2, feasible=True)  # 5, 6
-    run.begin_segment("reach")
-    reach(run, [800, 790, 780, 770, 760])  # 7..11; counted 5..8
-    run.input_given()  # go on
-    reach(run, [750, 740, 730])  # 12..14; counted 9..11
-    push(run, 3, feasible=False)  # 15..17
-    run.begin_segment("reach")
-    reach(run, [810, 700, 690, 680, 670, 15], solved_last=True)  # 18..23; counted 12..16
-    return run
 
 
 def test_human_rows_by_hand():
@@ -206,15 +146,6 @@ def test_rows_that_need_a_non_finite_cost_are_left_out_and_counted():
     rows = autonomous_rows(run.frame())
     assert rows.iteration.tolist() == [4]
     assert rows.non_finite == 1
-
-
-def test_history_features():
-    assert np.isnan(history_features(20, [(1, 2, 3), (4, 5, 6)])).all()
-    history = [(0, 0, 0), (1, 2, 3), (4, 5, 6), (7, 8, 9)]
-    assert history_features(12, history).tolist() == [12, 1, 2, 3, 4, 5, 6, 7, 8, 9]
-    assert FEATURES[0] == "n_objects"
-    assert FEATURES[1:4] == ("c_d[t-2]", "c_f[t-2]", "c_b[t-2]")
-    assert FEATURES[7:] == ("c_d[t-0]", "c_f[t-0]", "c_b[t-0]")
 
 
 def test_autonomous_rows_refuse_help():
@@ -301,112 +232,6 @@ def test_split_keeps_a_scene_on_both_sides_of_two_scenes_and_refuses_one():
     assert len(train) and len(val)
     with pytest.raises(BadInput, match="at least 2 scenes, got 1"):
         split_by_scene(np.array(["a", "a"]), fraction=0.2, seed=0)
-
-
-def two_runs():
-    second = log("a", seed=-1)
-    second.begin_segment("reach")
-    reach(second, [5, 4, 3, 2, 1])
-    return [helped_run().frame(), second.frame()]
-
-
-def test_file_round_trip_is_exact_and_ordered(tmp_path):
-    path = runs_path(tmp_path, Mode.HUMAN)
-    assert path == tmp_path / "human" / "runs.parquet"
-    frames = two_runs()
-    write_runs(path, frames)
-    assert read_runs(path).equals(pl.concat(frames[::-1]))  # by scene, then seed
-    extra = tmp_path / "extra.parquet"
-    pl.concat(frames).with_columns(note=pl.lit("x")).write_parquet(extra)
-    assert read_runs(extra).equals(read_runs(path))
-    assert [p.name for p in path.parent.iterdir()] == ["runs.parquet"]
-
-
-def test_autonomous_file_refuses_help(tmp_path):
-    write_runs(tmp_path / "runs.parquet", two_runs())
-    with pytest.raises(BadInput, match=r"runs\.parquet: scene a has human input at iteration 5"):
-        read_runs(tmp_path / "runs.parquet", mode=Mode.AUTONOMOUS)
-
-
-@pytest.mark.parametrize("column", list(RUN_SCHEMA))
-def test_each_column_is_needed(tmp_path, column):
-    path = tmp_path / "runs.parquet"
-    frame = pl.concat(two_runs())
-    frame.drop(column).write_parquet(path)
-    with pytest.raises(BadInput, match=f"runs.parquet: column {column} is missing"):
-        read_runs(path)
-    frame.with_columns(pl.lit(b"?").alias(column)).write_parquet(path)
-    with pytest.raises(BadInput, match=f"column {column} has type Binary, expected"):
-        read_runs(path)
-    hole = pl.when(pl.int_range(pl.len()) == 2).then(None).otherwise(pl.col(column))
-    frame.with_columns(hole.alias(column)).write_parquet(path)
-    with pytest.raises(BadInput, match=f"column {column} has 1 nulls"):
-        read_runs(path)
-
-
-@pytest.mark.parametrize(
-    ("column", "row", "value", "message"),
-    [
-        ("kind", 1, "pull", "kind must be reach or push; broken by scene a, seed 0, iteration 1"),
-        ("n_objects", 3, 19, "n_objects must be the same in all of a run"),
-        ("n_objects", slice(None), 0, "n_objects must be at least 1"),
-        ("iteration", 23, 24, r"must be 0, 1, 2, \.\.\.; broken by scene a, seed 0, iteration 24"),
-        ("iteration", 1, 0, "the iterations of a run"),
-        ("segment", slice(18, 24), 5, "the segments of a run"),
-        ("segment", slice(0, 5), 1, "the segments of a run"),
-        ("kind", 6, "reach", "all reach or all push"),
-        ("c_f", 2, -1.0, "cost terms must not be negative"),
-        ("asked_before", 6, True, "human input is not given while pushing"),
-        ("asked_before", 5, False, "a push must begin with human input"),
-    ],
-)
-def test_files_that_are_not_runs(tmp_path, column, row, value, message):
-    path = tmp_path / "runs.parquet"
-    values = helped_run().frame()[column].to_list()
-    for i in range(len(values))[row] if isinstance(row, slice) else [row]:
-        values[i] = value
-    helped_run().frame().with_columns(
-        pl.Series(column, values, dtype=RUN_SCHEMA[column])
-    ).write_parquet(path)
-    with pytest.raises(BadInput, match=message) as error:
-        read_runs(path)
-    assert "\n" not in str(error.value)
-
-
-def test_missing_empty_and_truncated_files(tmp_path):
-    path = tmp_path / "runs.parquet"
-    with pytest.raises(BadInput, match=r"runs\.parquet: no such file"):
-        read_runs(path)
-    pl.concat(two_runs()).clear().write_parquet(path)
-    with pytest.raises(BadInput, match="holds no rows"):
-        read_runs(path)
-    with pytest.raises(BadInput, match="no runs to write"):
-        write_runs(path, [])
-    write_runs(path, two_runs())
-    whole = path.read_bytes()
-    for size in [*range(0, len(whole), 37), len(whole) - 1]:
-        path.write_bytes(whole[:size])
-        with pytest.raises(BadInput, match=r"runs\.parquet: truncated or corrupt") as error:
-            read_runs(path)
-        assert "\n" not in str(error.value)
-
-
-def test_a_flipped_bit_is_bad_input_or_read(tmp_path):
-    path = tmp_path / "runs.parquet"
-    write_runs(path, two_runs())
-    whole = path.read_bytes()
-    for at in range(0, len(whole), 41):
-        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
-        try:
-            read_runs(path)
-        except BadInput as error:
-            assert "\n" not in str(error)
-
-
-def test_an_unwritable_place_is_bad_input(tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    with pytest.raises(BadInput, match="cannot be written"):
-        write_runs(tmp_path / "file" / "runs.parquet", two_runs())
 
 
 # -- other rules, and other targets --------------------------------------------------------------
@@ -509,7 +334,6 @@ def test_row_count_of_autonomous_runs(iterations, solved_at):
 
 def test_data_and_config_modules_do_not_import_jax():
     code = (
-        "import sys, pgf_jax.guidance.train_config, pgf_jax.guidance.rows;"
-        "sys.exit('jax' in sys.modules)"
+        "import sys, pgf_jax.training.config, pgf_jax.training.rows;sys.exit('jax' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,4 +1,4 @@
-"""Which predictor is meant, and that it is the one that is loaded."""
+"""Names of predictors: what a text stands for, and what is loaded for it."""
 
 import dataclasses
 from pathlib import Path
@@ -45,7 +45,7 @@ def write(folder: Path, seed: int = 0) -> Path:
         ("./best", PredictorSpec("paper", Path("best"))),
     ],
 )
-def test_what_a_text_asks_for(text, expected):
+def test_what_a_text_stands_for(text, expected):
     assert predictor_spec(text) == expected
 
 
@@ -64,14 +64,14 @@ def test_a_folder_may_be_given_as_a_path():
 )
 def test_each_is_made_of_its_networks(tmp_path, monkeypatch, name, kind, networks):
     folder = write(tmp_path / "own")
-    bidder, checkpoints = PredictorSpec(name, folder).load()
-    assert type(bidder) is kind
+    predictor, checkpoints = PredictorSpec(name, folder).load()
+    assert type(predictor) is kind
     assert [loaded.network for loaded in checkpoints] == networks
     states = np.random.default_rng(1).uniform(0, 500, (6, len(STATE)))
     by_hand = kind(*(loaded.predictor for loaded in checkpoints)).gain(states)
-    assert bidder.gain(states).tobytes() == by_hand.tobytes()
+    assert predictor.gain(states).tobytes() == by_hand.tobytes()
     # It may be sent to another process before any of JAX's backends is up there.
-    leaves = jax.tree.leaves([getattr(bidder, f.name) for f in dataclasses.fields(kind)])
+    leaves = jax.tree.leaves([getattr(predictor, f.name) for f in dataclasses.fields(kind)])
     assert all(type(leaf) is np.ndarray for leaf in leaves)
     # Without a folder it is the shipped one.
     shipped = write(tmp_path / "shipped", seed=1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from deliberations import DONE, FOUND, HOPELESS, native, run, stepped, traced, turn, unsolved
+from coroutines import DONE, FOUND, HOPELESS, native, run, stepped, traced, turn, unsolved
 
 from pgf_jax.batching.requests import Memoised, Step, robot_key_path
 from pgf_jax.guidance.operators.base import ask_operator
@@ -28,22 +28,22 @@ class Says:
         return self.push
 
 
-def asks_for(push, search, at) -> Memoised:
+def asks_for(push, search, key) -> Memoised:
     """The request for an operator's input."""
     planner, view = native().planner, View.of(search)
-    return Memoised({}, "input", lambda: ask_operator(Says(push), view, search, planner, at))
+    return Memoised({}, "input", lambda: ask_operator(Says(push), view, search, planner, key))
 
 
-def true_gain(search, push, at):
-    return TrueGain().deliberate(search, asks_for(push, search, at), native().planner, at)
+def true_gain(search, push, key):
+    return TrueGain().simulate_gain(search, asks_for(push, search, key), native().planner, key)
 
 
 @pytest.mark.parametrize(("seed", "kind"), [(0, "found"), (2, "found"), (2, "dropped")])
 def test_it_is_the_cost_alone_less_the_cost_helped(seed, kind):
-    search, words = unsolved(seed), robot_key_path(*turn(seed))
+    search, key_paths = unsolved(seed), robot_key_path(*turn(seed))
     push = {"found": FOUND, "dropped": HOPELESS}[kind][seed]
     alone, helped = (
-        run(simulate_input(native().planner, search, given, words, reach_limit=LOOK_AHEAD))
+        run(simulate_input(native().planner, search, given, key_paths, reach_limit=LOOK_AHEAD))
         for given in (None, push)
     )
     assert helped.pushed == (kind == "found")
@@ -51,12 +51,12 @@ def test_it_is_the_cost_alone_less_the_cost_helped(seed, kind):
     assert gain == alone.cost - helped.cost != 0
 
 
-def imagined(seed: int, push, terms_of) -> tuple[float, list[list[Step]]]:
-    """The gain where no iteration finds anything, and what is asked for at a time."""
-    deliberation, answers, asked = true_gain(unsolved(seed), push, turn(seed)), None, []
+def simulated(seed: int, push, terms_of) -> tuple[float, list[list[Step]]]:
+    """The gain where no iteration finds anything, and the requests that come at a time."""
+    coroutine, answers, asked = true_gain(unsolved(seed), push, turn(seed)), None, []
     while True:
         try:
-            requests = deliberation.send(answers)  # pyright: ignore[reportArgumentType]
+            requests = coroutine.send(answers)  # pyright: ignore[reportArgumentType]
         except StopIteration as end:
             return end.value, asked
         if isinstance(requests[0], Memoised):
@@ -73,12 +73,12 @@ def imagined(seed: int, push, terms_of) -> tuple[float, list[list[Step]]]:
 
 
 def test_both_futures_are_ten_reach_iterations_with_the_robot_s_own_noise():
-    gain, asked = imagined(0, FOUND[0], lambda search: 7.0 if is_helped(search) else 9.0)
+    gain, asked = simulated(0, FOUND[0], lambda search: 7.0 if is_helped(search) else 9.0)
     assert gain == 3 * 9.0 - 3 * 7.0
     assert [len(requests) for requests in asked] == [2] * LOOK_AHEAD + [1] * (PUSHED + 1)
     alone = [requests[0].key_path for requests in asked[:LOOK_AHEAD]]
     helped = [requests[-1].key_path for requests in asked]
-    assert alone == helped[:LOOK_AHEAD]  # neither is luckier
+    assert alone == helped[:LOOK_AHEAD]  # both have the same noise
     assert helped == [(0, 0, 0, DONE + i, 0) for i in range(PUSHED + 1 + LOOK_AHEAD)]
     pushing = [bool(requests[-1].search.task.pushing) for requests in asked]
     assert pushing == [True] * PUSHED + [False] * (1 + LOOK_AHEAD)
@@ -92,15 +92,15 @@ def is_helped(search) -> bool:
 @pytest.mark.parametrize("blown", [np.nan, np.inf])
 @pytest.mark.parametrize("helped", [False, True])
 def test_it_is_unknown_where_a_future_blows_up(helped, blown):
-    gain, _ = imagined(0, FOUND[0], lambda search: blown if is_helped(search) == helped else 1.0)
+    gain, _ = simulated(0, FOUND[0], lambda search: blown if is_helped(search) == helped else 1.0)
     assert np.isnan(gain)
 
 
 def test_going_on_gains_nothing_and_takes_no_trial():
     search = unsolved(0)
     gain = true_gain(search, None, turn(0))
-    (what,) = next(gain)
-    assert isinstance(what, Memoised)
+    (request,) = next(gain)
+    assert isinstance(request, Memoised)
     with pytest.raises(StopIteration) as end:
         gain.send([None])
     assert end.value.value == 0.0
