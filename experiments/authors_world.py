@@ -1,13 +1,13 @@
-"""The planar model beside the authors' 3-D world: final positions, reach, and the fingers' creep.
+"""Compares the planar model with the authors' 3-D world: final positions, reach, creep of fingers.
 
     python experiments/authors_world.py SCENES_DIR [--count 60] [--rollouts 3]
     python experiments/authors_world.py SCENES_DIR --creep
 
-SCENES_DIR holds the published MJCF with its includes. By default each scene's reach nominal with
-noise is rolled out in both worlds; printed are the distances of objects that the 3-D world moved
-by more than 5 mm, and how often each world ends within reach of the goal. `--creep` measures the
-table `hand.CREEP`: the acceleration of the finger links while their poses are held, over the
-contacts' damping.
+SCENES_DIR holds the published MJCF with its includes. By default the reach nominal of each scene is
+rolled out with noise in both worlds. The script prints the distances between final positions, of
+objects that the 3-D world moved by more than 5 mm, and how often each world ends within reach of
+the goal. `--creep` measures the table `hand.CREEP`: the acceleration of the finger links while
+their poses are held, divided by the damping of the contacts.
 """
 
 # MuJoCo's compiled modules come without type stubs.
@@ -48,7 +48,7 @@ GRIPPERS = (0, 2, 20, 40, 85, 128, 170, 212, 255)
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """What is measured."""
+    """Options of the script."""
 
     scenes: Annotated[Path, tyro.conf.Positional]
     count: int = 60
@@ -57,7 +57,7 @@ class Config:
 
 
 class AuthorsWorld:
-    """One published scene, its robot driven as the authors drive it."""
+    """One published scene in 3-D, in which the robot is driven as the authors do it."""
 
     def __init__(self, path: Path) -> None:
         self.model = mujoco.MjModel.from_xml_path(str(path))
@@ -70,7 +70,7 @@ class AuthorsWorld:
         self.fingers_qpos = [joint(j).qposadr[0] for j in CLOSED]
 
     def step(self, velocity: np.ndarray, gripper: float) -> None:
-        """One substep with the hand's velocity and the fingers' pose set."""
+        """Simulate one substep, with the hand's velocity and the fingers' pose set."""
         self.data.qvel[self.base] = velocity
         self.data.qvel[self.fingers] = 0
         closed = np.array(list(CLOSED.values()))
@@ -78,7 +78,7 @@ class AuthorsWorld:
         mujoco.mj_step(self.model, self.data)
 
     def rollout(self, controls: np.ndarray, gripper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """[N, 2] object centres and the [3] hand pose at the end."""
+        """Simulate a rollout; returns object centres [N, 2] and hand pose [3] at its end."""
         mujoco.mj_resetData(self.model, self.data)
         before, substeps = 0.0, round(KNOT_S / SUBSTEP)
         for velocity, target in zip(controls, gripper, strict=True):
@@ -91,7 +91,7 @@ class AuthorsWorld:
         return centres, self.data.qpos[self.base_qpos].copy()
 
     def creep(self, gripper: float) -> list[float]:
-        """Twist (vx, vy, wz) at the hand's origin of the right and the left follower."""
+        """Measure the twist (vx, vy, wz) at the hand's origin of right and left follower link."""
         mujoco.mj_resetData(self.model, self.data)
         for i in range(20):  # out of the way
             self.data.joint(f"object_{i + 1}_free").qpos[:2] = (-5 - i, 0)
@@ -109,7 +109,7 @@ class AuthorsWorld:
 
 
 def main(config: Config) -> None:
-    """Measure and print."""
+    """Measure, and print the results."""
     paths = sorted(config.scenes.glob("*.xml"))[: config.count]
     if config.creep:
         for gripper in GRIPPERS:

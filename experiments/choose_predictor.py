@@ -1,10 +1,10 @@
-"""Which better predictor: candidates for `--predictor best`, cross-validated on training forks.
+"""Compares candidates for `--predictor best` by cross-validation on the training forks.
 
     python experiments/choose_predictor.py [--data data/predictors/scale_1/train]
 
-The scenes are dealt to folds; each candidate is trained on all but one (with its own validation
-split inside, for early stopping) and bids on that one. Held-out test data play no part. What wins
-here is written into `guidance.training.RECIPES`.
+The scenes are split into folds. Each candidate is trained on all folds but one (with a validation
+split of its own for early stopping) and bids on that fold. The held-out test data are not used. The
+best candidate is written into `RECIPES` of `pgf_jax/training/train.py`.
 """
 
 import dataclasses
@@ -29,20 +29,20 @@ from pgf_jax.training.fit import fit
 from pgf_jax.training.rows import Rows
 
 SIZES = (2, 4, 8)
-SPREAD = 30.0  # units of cost, where asinh turns from linear to logarithmic
+SPREAD = 30.0  # units of cost, at which asinh changes from linear to logarithmic
 Bid = Callable[[Forks, np.ndarray], np.ndarray]  # training states, [B, S] states -> [B] bids
 
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """What is compared."""
+    """Options of the script."""
 
     data: Path = Path("data/predictors/scale_1/train")
     folds: int = 4
 
 
 def rows_of(forks: Forks, target: np.ndarray, names: tuple[str, ...]) -> Rows:
-    """Rows of some of the state."""
+    """Rows of some features of the state."""
     rows = Rows(
         features=forks.state,
         target=target,
@@ -55,7 +55,7 @@ def rows_of(forks: Forks, target: np.ndarray, names: tuple[str, ...]) -> Rows:
 
 
 def direct(names: tuple[str, ...], squash: bool = False, **settings: object) -> Bid:
-    """The gain itself (or its asinh) from some of the state."""
+    """A candidate that predicts the gain (or its asinh) from some features of the state."""
 
     def bid(forks: Forks, states: np.ndarray) -> np.ndarray:
         target = np.arcsinh(forks.gain / SPREAD) if squash else forks.gain
@@ -66,7 +66,7 @@ def direct(names: tuple[str, ...], squash: bool = False, **settings: object) -> 
 
 
 def difference(names: tuple[str, ...], **settings: object) -> Bid:
-    """The paper's two costs, each with a network, but learned from the same forks."""
+    """A candidate with a network for each of the paper's two costs, trained on the same forks."""
 
     def bid(forks: Forks, states: np.ndarray) -> np.ndarray:
         costs = []

@@ -1,10 +1,10 @@
-"""Does planning come out the same with another engine? The same scenes and keys, paired.
+"""Compares the outcomes of planning with two engines, on the same scenes and keys.
 
     python experiments/engine_outcomes.py [--scenes 150] [--engines planar mjx]
 
-Scenes of the three classes are planned alone, at most 30 iterations, with each engine. Reported are
-the share that is solved, and the paired difference (second engine less the first): of solved tasks
-in points, of iterations (30 where unsolved).
+Scenes of the three classes are planned alone with each engine, for at most 30 iterations. The
+script prints the share of solved scenes, and paired differences (second engine less first): of the
+share in points, and of the iterations (30 if unsolved).
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ LANES = {"mjx": 8, "planar": 32}
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """What is compared."""
+    """Options of the script."""
 
     engines: tuple[str, str] = ("planar", "mjx")
     scenes: int = 150  # a third of each class
@@ -32,7 +32,7 @@ class Config:
 
 
 def main(config: Config) -> None:
-    """Plan with both, and print."""
+    """Plan with both engines, and print the results."""
     console = Console()
     scenes = [
         (sample_scene(config.seed + i // 3, PRESETS[i % 3]), config.seed + i)

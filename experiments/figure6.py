@@ -1,13 +1,15 @@
-"""The paper's figure 6 and the claims of its section VI, with intervals, and what may explain them.
+"""Reproduces the paper's figure 6 and checks the claims of its section VI, with intervals.
 
     python experiments/figure6.py [--preset quick|full] [--draw]
 
-Fleets of 1, 10, 20 and 30 robots with 100 or 50 tasks each (the paper's sizes) under PGF, OR-HITL
-(the paper's words, and the published code's window), always asking and never asking; on tight
-scenes and on all three classes; with computers of their own or the paper's 96 shared cores; with
-rollouts of 1.5 and 0.75 s. Where the paper's figures are not met, its candidate causes are tried.
-Each is run with several seeds; intervals are over seeds. `--draw` makes the figures and the table
-again from the stored rows.
+Fleets of 1, 10, 20 and 30 robots with 100 or 50 tasks each (the paper's sizes) run under PGF,
+OR-HITL (as in the paper's text, and with the window of the published code), always asking and never
+asking; on tight scenes and on all three classes; with dedicated computers or the paper's 96 shared
+cores; with rollouts of 1.5 and 0.75 s. Further scenarios try causes that may explain where the
+results differ from the paper. Every scenario runs with several seeds; intervals are over seeds.
+`--draw` makes the figures and the table again from the stored rows.
+
+Source: Papallas & Dogar (2022), figure 6 and section VI.
 """
 
 import dataclasses
@@ -20,7 +22,7 @@ from study_runs import RAW, Run, compute, script, stored
 
 from pgf_jax import SweepConfig
 
-# Pairs that do not ship; `train_predictors.py` writes them.
+# Pairs of networks that do not ship; `train_predictors.py` writes them.
 ABLATIONS = Path("data/predictors/scale_1")
 SIZES = (1, 10, 20, 30)
 ASKING = ("pgf", "or-hitl", "or-hitl-window")
@@ -29,7 +31,7 @@ SEEDS = 4
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """What is run."""
+    """Options of the script."""
 
     preset: Literal["quick", "full"] = "full"
     draw: bool = False  # only draw, from the stored rows
@@ -37,7 +39,7 @@ class Config:
 
 
 def runs(quick: bool) -> list[Run]:
-    """All sweeps: scenarios on both sets of scenes, and the candidate causes on tight scenes."""
+    """All runs: the scenarios on both sets of scenes, and further causes on tight scenes."""
     found = []
     for scenes in ("tight", "all"):
         for seed in range(2 if quick else SEEDS):
@@ -51,7 +53,7 @@ def runs(quick: bool) -> list[Run]:
                 config = SweepConfig(
                     **{"scene_class": scenes, "seed": seed, "policies": policies} | changes | sizes
                 )
-                # Which pair it is, is what the scenario says.
+                # The scenario says which pair of networks it is.
                 predictor = "best" if changes.get("predictor") == "best" else "paper"
                 labels = {"scenes": scenes, "scenario": scenario, "predictor": predictor}
                 found.append(Run(labels, config))
@@ -59,18 +61,18 @@ def runs(quick: bool) -> list[Run]:
 
 
 def _settings(scenes: str, seed: int) -> Iterator[tuple[str, tuple[str, ...], dict[str, Any]]]:
-    """Scenario, policies, and what is changed in it."""
+    """Yield scenarios, each with its policies and the settings that it changes."""
     for scenario, changes in SCENARIOS.items():
         if scenes == "tight" or scenario in ("main", "96 shared cores"):
             yield scenario, ASKING, changes
     yield "main", ("pgf",), {"predictor": "best"}
     yield "main", ("autonomous",), {}
-    # Every task has an input, which the operator thinks about: dear, so fewer tasks.
+    # Every task asks for an input, which the operator has to compute: slow, so fewer tasks.
     yield "main", ("always",), {"tasks": 10}
     if scenes == "tight":
         for scenario, folder in PAIRS.items():
             yield scenario, ("pgf",), {"predictor": str(folder)}
-        for q in (0.5, 1.0) if seed < 2 else ():  # dear: up to four times as long
+        for q in (0.5, 1.0) if seed < 2 else ():  # up to four times as slow
             changes = {"random_winner": q, "tasks": 20}
             yield f"random winner, q = {q:g}", ("pgf", "or-hitl"), changes
 
@@ -88,7 +90,7 @@ PAIRS = {
 
 
 def main(config: Config) -> None:
-    """Run what is missing, then draw."""
+    """Compute the missing runs, then draw."""
     out = stored(config.preset)
     if not config.draw:
         compute("figure6", runs(config.preset == "quick"), out, config.raw / config.preset)

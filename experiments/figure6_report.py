@@ -1,4 +1,4 @@
-"""Figures and tables of `figure6.py`, made from its stored rows alone."""
+"""Makes the figures and tables of `figure6.py`, from its stored rows alone."""
 
 import math
 from collections.abc import Callable
@@ -6,22 +6,16 @@ from pathlib import Path
 
 import polars as pl
 from matplotlib.figure import Figure
-from study_runs import difference, over_seeds, read, text
+from study_rows import difference, fleets, over_seeds, read, table_row, text
 
 from pgf_jax.files import png, write_atomically
 from pgf_jax.fleet.metrics import Interval
 from pgf_jax.sweeping.figure6 import MARKERS
 
-POLICIES = {  # name here: (policy, predictor) of the rows
-    "PGF": ("pgf", "paper"),
-    "PGF, best": ("pgf", "best"),
-    "OR-HITL": ("or-hitl", "paper"),
-    "OR-HITL, window": ("or-hitl-window", "paper"),
-    "always": ("always", "paper"),
-    "autonomous": ("autonomous", "paper"),
-}
-COLORS = dict(zip(POLICIES, ("C0", "C2", "C1", "C3", "C5", "0.45"), strict=True))
-LIKE_S, SIMILAR, AS_HIGH = 0.75, 0.10, 0.01  # 5 % of OR-HITL's planning time; shares
+POLICIES = ("PGF", "PGF, best", "OR-HITL", "OR-HITL, window", "always", "autonomous")
+COLORS: dict[str, str] = dict(zip(POLICIES, ("C0", "C2", "C1", "C3", "C5", "0.45"), strict=True))
+# Bounds of the claims "like" (5 % of OR-HITL's planning time), "similar" and "at least as high".
+LIKE_S, SIMILAR, AS_HIGH = 0.75, 0.10, 0.01
 MEASURES = {
     "first bid": "first_bid",
     "first grant": "first_grant",
@@ -31,23 +25,20 @@ MEASURES = {
 
 
 class Rows:
-    """Rows of one study, cell by cell."""
+    """The stored rows of the study."""
 
     def __init__(self, name: str, out: Path) -> None:
-        # Of policies with windows, and of those that never wait.
+        # Planning time includes the waits in windows, which only policies with windows have.
         iterating = (pl.col("planning_time_s") - pl.col("waiting_s")).alias("iterating_s")
         self.frame = read(name, out).with_columns(iterating)
         self.sizes = sorted(self.frame["robots"].unique().to_list())
 
     def cell(self, scenes: str, scenario: str, policy: str, robots: int) -> pl.DataFrame:
-        """One fleet a seed."""
-        name, predictor = POLICIES[policy]
-        return self.frame.filter(
-            scenes=scenes, scenario=scenario, policy=name, predictor=predictor, robots=robots
-        )
+        """The fleets of one cell: one per seed."""
+        return fleets(self.frame, policy, robots, scenes=scenes, scenario=scenario)
 
     def scenarios(self, scenes: str) -> list[str]:
-        """In the order in which they were run."""
+        """Scenarios with these scenes, in the order in which they were run."""
         return self.frame.filter(scenes=scenes)["scenario"].unique(maintain_order=True).to_list()
 
 
@@ -79,7 +70,7 @@ def _main_figure(rows: Rows) -> Figure:
             where = "tight scenes" if scenes == "tight" else "all three classes"
             ax.set(title=where, xlabel="robots", ylabel=label, xticks=rows.sizes)
             ax.grid(alpha=0.3)
-            if column == 0:  # whatever the band of `always`, which has few tasks where R = 1
+            if column == 0:  # cut off the band of `always`, which has few tasks at R = 1
                 usual = [rows.cell(scenes, "main", "autonomous", r) for r in rows.sizes]
                 highest = max(over_seeds(cell, value).high for cell in usual)
                 ax.set_ylim(0, 1.25 * highest)
@@ -95,7 +86,7 @@ def _band(ax, rows: Rows, scenes: str, policy: str, value: str, scale: float) ->
     if not points:
         return
     x = [r for r, _ in points]
-    marker = MARKERS[list(POLICIES).index(policy)]
+    marker = MARKERS[POLICIES.index(policy)]
     color = COLORS[policy]
     mean = [scale * p.mean for _, p in points]
     ax.plot(x, mean, color=color, marker=marker, markersize=5, label=policy)
@@ -135,7 +126,7 @@ def _differences_figure(rows: Rows) -> Figure:
         ax.grid(alpha=0.3)
         ax.legend(fontsize=8)
     axes[0].set_ylabel("planning time, PGF less OR-HITL (s)")
-    axes[2].set_ylim(-45, 10)  # an interval of two seeds may leave it
+    axes[2].set_ylim(-45, 10)  # an interval of two seeds may be larger
     figure.suptitle("Same scenes, noise and service times; below 0: PGF is faster. Bars: 95 %")
     return figure
 
@@ -146,7 +137,7 @@ def _differences_figure(rows: Rows) -> Figure:
 def _paired(
     rows: Rows, scenes: str, scenario: str, robots: int, value: str, ours: str = "PGF"
 ) -> Interval:
-    """Ours less OR-HITL. Where only a predictor was changed, OR-HITL is the main scenario's."""
+    """Policy `ours` less OR-HITL, which is the main scenario's if only a predictor changed."""
     mine = rows.cell(scenes, scenario, ours, robots)
     theirs = rows.cell(scenes, scenario, "OR-HITL", robots)
     if theirs.is_empty():
@@ -155,12 +146,12 @@ def _paired(
 
 
 Verdict = Callable[[Interval], str]
-FASTER = (-math.inf, 0.0)  # where a claim puts a difference
+FASTER = (-math.inf, 0.0)  # bounds of a difference, as claimed
 MORE = (0.0, math.inf)
 
 
 def _within(low: float, high: float) -> Verdict:
-    """yes: the whole interval is within the bounds; no: none of it is."""
+    """Judge intervals: yes if the whole interval is within the bounds, no if none of it is."""
 
     def verdict(found: Interval) -> str:
         if found.n < 2:
@@ -173,7 +164,7 @@ def _within(low: float, high: float) -> Verdict:
 
 
 def _claims(rows: Rows) -> str:
-    """The claims of section VI, with what was measured, on both sets of scenes."""
+    """Table of the claims of section VI, beside what was measured on both sets of scenes."""
     lines = [
         "## The paper's claims",
         "",
@@ -198,7 +189,7 @@ def _claims(rows: Rows) -> str:
         for scenes in ("tight", "all"):
             found = measure(scenes)
             cells += [f"{text(found, digits, scale)} {unit}", _within(*bounds)(found)]
-        lines.append("| " + " | ".join([claim, paper, *cells]) + " |")
+        lines.append(table_row([claim, paper, *cells]))
 
     few, many = rows.sizes[0], rows.sizes[-1]
     for robots in rows.sizes:
@@ -238,7 +229,7 @@ def _claims(rows: Rows) -> str:
 
 
 def _change_of_lead(rows: Rows, scenes: str, few: int, many: int) -> Interval:
-    """How much PGF less OR-HITL grows with the fleet, seed by seed."""
+    """Change of the difference PGF less OR-HITL from few to many robots, paired by seed."""
 
     def lead(robots: int) -> pl.DataFrame:
         ours, theirs = (rows.cell(scenes, "main", p, robots) for p in ("PGF", "OR-HITL"))
@@ -250,7 +241,7 @@ def _change_of_lead(rows: Rows, scenes: str, few: int, many: int) -> Interval:
 
 
 def _shares(rows: Rows) -> str:
-    """What the difference in planning time is made of, and where the task's time goes."""
+    """Table of the parts of the difference in planning time."""
     lines = [
         "## What asking costs",
         "",
@@ -266,12 +257,12 @@ def _shares(rows: Rows) -> str:
             values = ("planning_time_s", "iterating_s", "waiting_s", "interaction_s")
             found = [text(_paired(rows, scenes, "main", robots, v), 2) for v in values]
             success = text(_paired(rows, scenes, "main", robots, "success"), 2, 100)
-            lines.append("| " + " | ".join([scenes, str(robots), *found, success]) + " |")
+            lines.append(table_row([scenes, str(robots), *found, success]))
     return "\n".join(lines)
 
 
 def _cells(rows: Rows) -> str:
-    """Levels of every policy in the main scenario and of the causes."""
+    """Table of the means of every policy in every scenario."""
     lines = [
         "## Levels",
         "",
@@ -293,14 +284,12 @@ def _cells(rows: Rows) -> str:
                         *(text(over_seeds(cell, v)) for v in MEASURES.values()),
                         text(over_seeds(cell, "utilisation"), 2),
                     ]
-                    lines.append(
-                        "| " + " | ".join([scenes, scenario, policy, str(robots), *values]) + " |"
-                    )
+                    lines.append(table_row([scenes, scenario, policy, str(robots), *values]))
     return "\n".join(lines)
 
 
 def _differences(rows: Rows) -> str:
-    """PGF less OR-HITL, in every scenario."""
+    """Table of the differences PGF less OR-HITL in every scenario."""
     lines = [
         "## PGF less OR-HITL",
         "",
@@ -319,5 +308,5 @@ def _differences(rows: Rows) -> str:
                     continue
                 success = _paired(rows, scenes, scenario, rows.sizes[-1], "success", ours)
                 cells = [*map(text, found), text(success, 2, 100)]
-                lines.append("| " + " | ".join([scenes, scenario, predictor, *cells]) + " |")
+                lines.append(table_row([scenes, scenario, predictor, *cells]))
     return "\n".join(lines)

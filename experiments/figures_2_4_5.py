@@ -1,12 +1,12 @@
-"""The paper's illustrations again: figure 2 (two nominals), 4 (easy and hard), 5 (one window).
+"""Reproduces the paper's figures 2 (two nominals), 4 (an easy and a hard scene) and 5 (a window).
 
     python experiments/figures_2_4_5.py [--preset quick] [--figures 2 4 5] [--draw]
 
-Each figure is drawn from its data file alone, `OUT/figureN.json`, so that `--draw` draws it again
-without computing; the same options give the same file byte for byte (on one machine). Each file
-states the rule by which its scenes were chosen; no rule looks at how planning a scene ended.
-`figures_2_4_5_windows.py` makes the data of figure 5, `figures_2_4_5_drawing.py` draws. Some 40 s
-of one core, 15 s with `--preset quick`.
+Each figure is drawn from its data file `OUT/figureN.json` alone, so `--draw` draws it again without
+computing. The same options give the same file byte for byte (on one machine). Each file states the
+rule by which its scenes were chosen; no rule depends on how planning a scene ended.
+`figures_2_4_5_windows.py` makes the data of figure 5, `figures_2_4_5_drawing.py` draws. It takes
+about 40 s of one core, 15 s with `--preset quick`.
 
 Source: Papallas & Dogar (2022), figures 2, 4 and 5.
 """
@@ -30,27 +30,27 @@ from pgf_jax.files import png, read_json, write_atomically
 from pgf_jax.guidance.geometry import end_effector
 from pgf_jax.guidance.operators.heuristic import HeuristicOperator
 from pgf_jax.guidance.view import View
+from pgf_jax.physics.engine import default_lanes
 from pgf_jax.planning import nominal
 from pgf_jax.planning.planner import BatchPlanner, Search, start_world
 from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.scene.sampling import OBJECTS
 from pgf_jax.settings import MAX_SEED, check_int
-from pgf_jax.sweeping.config import LANES
 
 ENGINE = "planar"
-MOVED = 0.05  # m, least distance over which the push of figure 2 moves its object
-NO_NOISE = np.zeros(2, np.uint32)  # a nominal's rollout draws no noise, whatever the key
+MOVED = 0.05  # m, least distance by which the push of figure 2 moves its object
+NO_NOISE = np.zeros(2, np.uint32)  # the rollout of a nominal draws no noise, so any key will do
 
-# What the paper says of its own scenes (section 9 of the design).
+# What the paper reports on its own scenes (figures 4 and 5).
 PAPER_4 = {"easy": 0.0, "hard": 749.56}  # initial costs
 PAPER_5 = {"solved_alone_after": [4, 8, 20], "asks_at": [7, 4], "failures": 1}  # under OR-HITL
 
 
 @dataclasses.dataclass(frozen=True)
 class Preset:
-    """How much is computed."""
+    """Amount of computation."""
 
-    scenes: int  # that figures 2 and 4 choose from
+    scenes: int  # from which those of figures 2 and 4 are chosen
     robots: int  # of the fleet of figure 5
     tasks: int  # of each robot
 
@@ -83,19 +83,19 @@ class Config:
     out: Path | None = None
 
     def folder(self) -> Path:
-        """Where data and pictures go."""
+        """Folder of data and pictures."""
         if self.out is not None:
             return self.out
         return stored(self.preset)
 
     def about(self) -> dict[str, Any]:
-        """What the data depend on."""
+        """The settings and versions that the data depend on, as JSON."""
         return {
             "seed": self.seed,
             "preset": self.preset,
             "scene_class": self.scene_class,
             "engine": ENGINE,
-            "lanes": LANES[ENGINE],
+            "lanes": default_lanes(ENGINE),
             "versions": {name: version(name) for name in ("pgf_jax", "jax", "jaxlib", "numpy")},
         }
 
@@ -104,32 +104,32 @@ class Config:
 
 
 @dataclasses.dataclass(frozen=True)
-class Begun:
-    """A sampled scene and its reach, of which the nominal has been rolled out."""
+class RolledNominal:
+    """A sampled scene, and its reach after the rollout of the nominal."""
 
-    seed: int  # of the scene, and of its noise where it is planned
+    seed: int  # of the scene, and of the noise when it is planned
     scene: Scene
     search: Search
 
 
 def plan_config() -> PlanConfig:
-    """Planning alone, in calls as wide as a sweep's."""
-    return PlanConfig(engine=ENGINE, operator="none", lanes=LANES[ENGINE])
+    """Settings of planning alone, with as many lanes as a sweep."""
+    return PlanConfig(engine=ENGINE, operator="none", lanes=default_lanes(ENGINE))
 
 
-def begin(config: Config, planner: BatchPlanner) -> list[Begun]:
-    """The scenes to choose from."""
+def sample(config: Config, planner: BatchPlanner) -> list[RolledNominal]:
+    """Sample the scenes to choose from, and roll out their nominals."""
     seeds = range(config.seed, config.seed + PRESETS[config.preset].scenes)
     scenes = [sample_scene(seed, config.scene_class) for seed in seeds]
     searches = roll_nominals(
         planner,
         [planner.begin_reach(start_world(scene.positions), scene.goal) for scene in scenes],
     )
-    return [Begun(*each) for each in zip(seeds, scenes, searches, strict=True)]
+    return [RolledNominal(*each) for each in zip(seeds, scenes, searches, strict=True)]
 
 
 def roll_nominals(planner: BatchPlanner, searches: Sequence[Search]) -> list[Search]:
-    """Iteration 0 of each search."""
+    """Run iteration 0 of each search."""
     done, lanes = [], planner.engine.lanes
     for k in range(0, len(searches), lanes):
         part = searches[k : k + lanes]
@@ -137,9 +137,11 @@ def roll_nominals(planner: BatchPlanner, searches: Sequence[Search]) -> list[Sea
     return done
 
 
-def figure2(config: Config, planner: BatchPlanner, begun: Sequence[Begun]) -> dict[str, Any]:
+def figure2(
+    config: Config, planner: BatchPlanner, sampled: Sequence[RolledNominal]
+) -> dict[str, Any]:
     """The data of figure 2: a scene's reach nominal and a push nominal."""
-    unsolved = [b for b in begun if not planner.terminate(b.search)]
+    unsolved = [b for b in sampled if not planner.terminate(b.search)]
     chosen = [HeuristicOperator().ranked(View.of(b.search), 1)[0] for b in unsolved]
     pushes = roll_nominals(
         planner,
@@ -163,40 +165,42 @@ def figure2(config: Config, planner: BatchPlanner, begun: Sequence[Begun]) -> di
         return {
             "figure": 2,
             "about": config.about(),
-            "rule": f"of the {len(begun)} {config.scene_class} scenes from seed {config.seed} on, "
-            "the first whose reach nominal is not feasible and for which the nominal of the push "
-            "that the heuristic operator puts first by geometry is feasible and moves its object "
-            f"by {MOVED} m or more",
+            "rule": f"of the {len(sampled)} {config.scene_class} scenes from seed {config.seed} "
+            "on, the first whose reach nominal is not feasible and for which the nominal of the "
+            "push that the heuristic operator puts first by geometry is feasible and moves its "
+            f"object by {MOVED} m or more",
             "seed": b.seed,
             "scene": scene_content(b.scene),
             "reach": nominal_content(b.search),
             "push": nominal_content(search) | content,
         }
     raise BadInput(
-        f"figure 2: none of {len(begun)} scenes from seed {config.seed} on fits the rule; "
+        f"figure 2: none of {len(sampled)} scenes from seed {config.seed} on fits the rule; "
         "expected a seed, or a preset, with one that does"
     )
 
 
-def figure4(config: Config, planner: BatchPlanner, begun: Sequence[Begun]) -> dict[str, Any]:
+def figure4(
+    config: Config, planner: BatchPlanner, sampled: Sequence[RolledNominal]
+) -> dict[str, Any]:
     """The data of figure 4: an easy scene and a hard one."""
-    costs = [three_terms(b.search) for b in begun]
-    feasible = [i for i, b in enumerate(begun) if planner.terminate(b.search)]
-    others = [i for i in range(len(begun)) if i not in feasible]
+    costs = [three_terms(b.search) for b in sampled]
+    feasible = [i for i, b in enumerate(sampled) if planner.terminate(b.search)]
+    others = [i for i in range(len(sampled)) if i not in feasible]
     if not feasible or not others:
         raise BadInput(
-            f"figure 4: of {len(begun)} scenes from seed {config.seed} on, the nominals of "
+            f"figure 4: of {len(sampled)} scenes from seed {config.seed} on, the nominals of "
             f"{len(feasible)} are feasible; expected some, and some that are not"
         )
     chosen = {
-        "easy": begun[feasible[0]],
-        "hard": begun[min(others, key=lambda i: abs(costs[i] - PAPER_4["hard"]))],
+        "easy": sampled[feasible[0]],
+        "hard": sampled[min(others, key=lambda i: abs(costs[i] - PAPER_4["hard"]))],
     }
     plans = plan_scenes([(b.scene, b.seed) for b in chosen.values()], plan_config())
     return {
         "figure": 4,
         "about": config.about(),
-        "rule": f"of the {len(begun)} {config.scene_class} scenes from seed {config.seed} on: "
+        "rule": f"of the {len(sampled)} {config.scene_class} scenes from seed {config.seed} on: "
         f"easy, the first whose nominal is feasible (total cost at most "
         f"{planner.config.cost.feasible_cost:g}, goal in reach); hard, of the others the one whose "
         f"nominal's c_d + c_f + c_b is nearest to the paper's {PAPER_4['hard']}",
@@ -223,7 +227,7 @@ def figure4(config: Config, planner: BatchPlanner, begun: Sequence[Begun]) -> di
 
 
 def nominal_content(search: Search) -> dict[str, Any]:
-    """A nominal and its rollout; of hand, gripper and ee the start and the T knot ends."""
+    """A nominal and its rollout as JSON; hand, gripper and ee at the start and the T knot ends."""
     hands = np.concatenate([search.start.hand[None], search.best.hand])  # [T + 1, 3]
     first = "c_h" if search.task.pushing else "c_d"
     names = (first, "c_f", "c_b", "c_e", "c_s", "total")
@@ -240,7 +244,7 @@ def nominal_content(search: Search) -> dict[str, Any]:
 
 
 def three_terms(search: Search) -> float:
-    """The paper's cost: c_d + c_f + c_b (pushing: c_h in place of c_d)."""
+    """The cost of the paper: c_d + c_f + c_b (pushing: c_h in place of c_d)."""
     return float(np.sum(search.value.terms[:3], dtype=np.float64))
 
 
@@ -248,9 +252,9 @@ def three_terms(search: Search) -> float:
 
 
 def run_sweep(config: Config) -> dict[str, Any]:
-    """The data of figure 5, from a sweep whose own files go to results/figure5.
+    """Run the sweep of figure 5, with its files in results/figure5; returns the figure's data.
 
-    Nothing that is there is kept: a sweep's cells know of their settings, not of the code.
+    Cells that are there are computed again, because they depend on the code too.
     """
     sizes = PRESETS[config.preset]
     name = f"{config.preset}_{config.scene_class}_{config.predictor}_seed{config.seed}"
@@ -272,21 +276,21 @@ def run_sweep(config: Config) -> dict[str, Any]:
 
 
 def json_text(content: dict[str, Any]) -> str:
-    """JSON with innermost lists on one line each."""
+    """Format as JSON, each innermost list on one line."""
     text = json.dumps(content, indent=1, allow_nan=False)
     return re.sub(r"\[[^][{}\"]*\]", lambda found: " ".join(found[0].split()), text) + "\n"
 
 
 def compute(config: Config) -> None:
-    """Write the data files."""
+    """Compute and write the data files."""
     folder, content = config.folder(), {}
     if {2, 4} & {*config.figures}:
         planner = planner_service_of(plan_config(), OBJECTS).planner
-        begun = begin(config, planner)
+        sampled = sample(config, planner)
         if 2 in config.figures:
-            content[2] = figure2(config, planner, begun)
+            content[2] = figure2(config, planner, sampled)
         if 4 in config.figures:
-            content[4] = figure4(config, planner, begun)
+            content[4] = figure4(config, planner, sampled)
     if 5 in config.figures:
         content[5] = run_sweep(config)
         write_atomically(folder / "figure5.csv", table(content[5]))
@@ -295,7 +299,7 @@ def compute(config: Config) -> None:
 
 
 def run(config: Config) -> None:
-    """Compute, unless only drawing was asked for; draw."""
+    """Compute the data, unless only drawing is asked for, and draw."""
     check_int("--seed", config.seed, 0, MAX_SEED - PRESETS[config.preset].scenes)
     if not config.draw:
         compute(config)

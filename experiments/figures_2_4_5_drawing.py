@@ -1,6 +1,7 @@
-"""What figures 2, 4 and 5 store of a scene, and how they are drawn from their data files alone.
+"""Draws figures 2, 4 and 5 from their data files, and stores scenes in such files.
 
-Part of `figures_2_4_5.py`. The hand's outline is that of `pgf_jax.physics.hand` at stored poses.
+Part of `figures_2_4_5.py`. The outline of the hand is that of `pgf_jax.physics.hand` at the stored
+poses.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,21 +19,21 @@ from pgf_jax.scene.draw import ROBOT_COLOR
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Data = Mapping[str, Any]  # of a figure's file
+Data = Mapping[str, Any]  # content of a data file, or a part of it
 PUSH_COLOR = "#b3261e"
-GRID_M = 0.0015  # m, of the hand's outline
+GRID_M = 0.0015  # m, step of the grid for the outline of the hand
 
 
 # -- stored scenes -------------------------------------------------------------------------------
 
 
 def rounded(values: Any, digits: int = 5) -> Any:
-    """Numbers as they are stored; + 0.0, so that there is no minus before a zero."""
+    """Round numbers for a data file; + 0.0 turns -0.0 into 0.0."""
     return (np.round(np.asarray(values, np.float64), digits) + 0.0).tolist()
 
 
 def scene_content(scene: Scene) -> dict[str, Any]:
-    """A scene as it is stored: x, y of the objects in metres, to 10 um."""
+    """A scene as JSON: x, y of the objects in metres, rounded to 10 um."""
     return {"name": scene.name, "goal": scene.goal, "objects": rounded(scene.positions)}
 
 
@@ -46,14 +47,14 @@ def scene_of(content: Data) -> Scene:
 
 
 def draw_hand(ax: "Axes", pose: Any, gripper: float, *, strength: float, fill: bool) -> None:
-    """The outline of the hand from above.
+    """Draw the outline of the hand from above.
 
     Args:
       ax: of `draw_scene`: horizontal is y, vertical is x.
       pose: [3] x, y (m), yaw (rad).
       gripper: 0 open .. 255 closed.
       strength: opacity of the line, 0..1.
-      fill: shade its inside.
+      fill: whether to shade the inside.
     """
     x, y, yaw = pose
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
@@ -68,7 +69,7 @@ def draw_hand(ax: "Axes", pose: Any, gripper: float, *, strength: float, fill: b
         distance = np.linalg.norm(points - nearest, axis=-1) - radius
         outside = np.minimum(outside, distance)
     if fill:
-        # Under the objects, so that it does not change their colours.
+        # Under the objects, so that the shade does not change their colours.
         ax.contourf(
             grid_y, grid_x, outside, levels=[-1, 0], colors=[ROBOT_COLOR], alpha=0.18, zorder=1.5
         )
@@ -85,14 +86,14 @@ def draw_hand(ax: "Axes", pose: Any, gripper: float, *, strength: float, fill: b
 
 
 def draw_nominal(ax: "Axes", scene: Scene, content: Data, title: str) -> None:
-    """A scene with a nominal: the path of `ee`, the hand at ends and middle, where all end."""
+    """Draw a scene with a nominal: path of `ee`, hand at ends and half-way, final positions."""
     path = np.array(content["ee"])
     draw_scene(
         scene,
         ax,
         ee_paths=path,
         end_positions=np.array(content["ends"]),
-        corridor="behind" not in content,  # to the goal: of no matter to a push
+        corridor="behind" not in content,  # the corridor leads to the goal, so not for a push
         title=title,
     )
     ax.plot(path[1:, 1], path[1:, 0], ".", color=ROBOT_COLOR, markersize=6, zorder=6)
@@ -103,14 +104,14 @@ def draw_nominal(ax: "Axes", scene: Scene, content: Data, title: str) -> None:
 
 
 def draw_target(ax: "Axes", target: Any) -> None:
-    """Where a pushed object is to come: a cross, and its outline there."""
+    """Draw the target of a pushed object: a cross, and the outline of the object."""
     x, y = target
     ax.add_patch(Circle((y, x), RADIUS, fill=False, color=PUSH_COLOR, linewidth=1.2, zorder=5))
     ax.plot(y, x, "x", color=PUSH_COLOR, markersize=8, markeredgewidth=2, zorder=6)
 
 
 def costs(content: Data) -> str:
-    """A nominal's cost, term by term; the two that the paper has not only where they count."""
+    """The cost of a nominal, term by term; c_e and c_s, not in the paper, only if not zero."""
     cost = {name: value for name, value in content["cost"].items() if name != "total"}
     shown = [
         f"${name[0]}_{name[2:]}$ {value:,.2f}"
@@ -122,7 +123,7 @@ def costs(content: Data) -> str:
 
 
 def pair(lines: int) -> tuple[Figure, "list[Axes]", "list[Axes]"]:
-    """A figure of two panels with room for lines of text under them: figure, panels, rooms."""
+    """Make a figure of two panels with axes for text below: figure, panels, axes for text."""
     room = 0.24 * lines  # inches
     figure = Figure(figsize=(13, 6.1 + room), layout="constrained")
     grid = figure.add_gridspec(2, 2, height_ratios=(5.4, room))
@@ -131,13 +132,13 @@ def pair(lines: int) -> tuple[Figure, "list[Axes]", "list[Axes]"]:
 
 
 def write(ax: "Axes", text: str) -> None:
-    """Fill axes with text alone."""
+    """Write text into empty axes."""
     ax.axis("off")
     ax.text(0.5, 0.5, text, ha="center", va="center", fontsize="large", linespacing=1.4)
 
 
 def counted(number: int, noun: str) -> str:
-    """`1 iteration`, `2 iterations`."""
+    """A number and a noun: `1 iteration`, `2 iterations`."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
@@ -145,7 +146,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def figure2(data: Data) -> Figure:
-    """The two initial trajectories: a reach's nominal and a push's, on one scene."""
+    """Draw the two initial trajectories on one scene: the nominal of a reach and of a push."""
     figure, (reaching, pushing), below = pair(lines=1)
     scene, push = scene_of(data["scene"]), data["push"]
     draw_nominal(reaching, scene, data["reach"], f"reach: straight to object {scene.goal + 1}")
@@ -168,7 +169,7 @@ def figure2(data: Data) -> Figure:
 
 
 def figure4(data: Data) -> Figure:
-    """An easy scene and a hard one, with their initial costs."""
+    """Draw an easy scene and a hard one, with their initial costs."""
     figure, panels, below = pair(lines=2)
     for ax, room, name in zip(panels, below, ("easy", "hard"), strict=True):
         one = data[name]
@@ -196,7 +197,7 @@ def figure4(data: Data) -> Figure:
 
 
 def figure5(data: Data) -> Figure:
-    """The bidders of a window: their bids, and what became of them under both policies."""
+    """Draw the bidders of a window: their bids, and the outcomes of their tasks by policy."""
     bidders, sweep, counts = data["bidders"], data["sweep"], data["windows"]
     targets = [b["first_push"]["target"] for b in bidders if b["first_push"]]
     aside = max(abs(y) for b in bidders for _, y in [*b["scene"]["objects"], *targets])
@@ -226,7 +227,7 @@ def figure5(data: Data) -> Figure:
         ax.set_xlim(aside, -aside)
         ax.set_ylim(low, high)
         ax.set_ylabel("x (m), into the shelf" if i == 0 else "")
-        _became(figure.add_subplot(grid[1, i]), one["outcomes"])
+        _draw_outcomes(figure.add_subplot(grid[1, i]), one["outcomes"])
     later = "; dotted: one given to a loser later" if len(targets) > 1 else ""
     figure.suptitle(
         f"A window in which {len(bidders)} of {sweep['robots']} robots bid "
@@ -249,8 +250,8 @@ def figure5(data: Data) -> Figure:
 FIGURES: Mapping[int, Callable[[Data], Figure]] = {2: figure2, 4: figure4, 5: figure5}
 
 
-def _became(ax: "Axes", outcomes: Mapping[str, Data]) -> None:
-    """What became of a task under each policy, as a table; iterations are of reaching."""
+def _draw_outcomes(ax: "Axes", outcomes: Mapping[str, Data]) -> None:
+    """Draw a table of a task's outcome under each policy; iterations are of reaching."""
     rows: dict[str, Callable[[Data], str]] = {
         "ended": lambda o: o["status"].replace("_", " "),
         "reach iterations": lambda o: str(o["reach_iterations"]),

@@ -1,4 +1,4 @@
-"""Figure 5's data: the windows of a sweep's fleet, and one of them with all that came of it.
+"""Makes the data of figure 5: chooses a window of a fleet, and looks up its bidders' tasks.
 
 Part of `figures_2_4_5.py`, which runs the sweep.
 """
@@ -14,13 +14,13 @@ from figures_2_4_5_drawing import rounded, scene_content
 
 from pgf_jax import BadInput, SweepConfig
 from pgf_jax.fleet.events import Event, EventKind
-from pgf_jax.sweeping.resolve import task_scene
+from pgf_jax.sweeping.resolve import task_scenes
 from pgf_jax.sweeping.summary import csv
 from pgf_jax.sweeping.sweep import SweepResult
 from pgf_jax.tables import results
 
-POLICIES = ("pgf", "or-hitl")  # the windows are the first's
-BIDDERS = 5  # at most, in the window that is shown
+POLICIES = ("pgf", "or-hitl")  # the window is one of the first
+BIDDERS = 5  # most bidders of the window that is shown
 OUTCOME = (
     "status",
     "reach_iterations",
@@ -39,7 +39,7 @@ RULE = (
 
 @dataclasses.dataclass(frozen=True)
 class Window:
-    """A window of Alg. 2: its bids, and who was granted and refused when it closed."""
+    """A window of Alg. 2: its bids, and the robots granted and refused when it closed."""
 
     bids: list[Event]
     close_ns: int
@@ -47,15 +47,15 @@ class Window:
     refused: list[int]
 
     def finite(self) -> bool:
-        """Whether there are several bids, none of them a stuck robot's +inf."""
+        """Whether there are several bids, all finite: a stuck robot bids +inf."""
         gains = [bid.gain for bid in self.bids]
         return len(gains) > 1 and all(gain is not None and math.isfinite(gain) for gain in gains)
 
     def fits(self, events: Sequence[Event]) -> bool:
-        """Whether `RULE` lets it be shown."""
+        """Whether the window fits `RULE`."""
         if not self.finite() or len(self.bids) > BIDDERS or len(self.granted) != 1:
             return False
-        # A robot that ran out of time in the window is neither granted nor refused.
+        # A robot whose time ran out in the window is neither granted nor refused.
         all_there = len(self.granted) + len(self.refused) == len(self.bids)
         (winner,) = [bid for bid in self.bids if bid.robot == self.granted[0]]
         given = answer(events, winner)
@@ -75,7 +75,7 @@ def windows(events: Sequence[Event]) -> list[Window]:
         elif event.kind is EventKind.WINDOW_CLOSE:
             found.append(Window(bids, event.time_ns, [], []))
         elif event.robot is not None and found and found[-1].bids is bids:
-            # What a window decides is logged right after it closes, before the next one opens.
+            # The decisions of a window are logged when it closes, before the next one opens.
             if event.kind is EventKind.GRANT:
                 found[-1].granted.append(event.robot)
             elif event.kind is EventKind.REFUSED:
@@ -84,7 +84,7 @@ def windows(events: Sequence[Event]) -> list[Window]:
 
 
 def answer(events: Sequence[Event], bid: Event) -> Event | None:
-    """The end of the first service that the bidder's task was given, if there was one."""
+    """The end of the first service of the bidder's task, if there was a service."""
     for event in events:
         of_task = (event.robot, event.task, event.request) == (bid.robot, bid.task, 0)
         if of_task and event.kind is EventKind.SERVICE_END:
@@ -93,11 +93,11 @@ def answer(events: Sequence[Event], bid: Event) -> Event | None:
 
 
 def figure5(config: SweepConfig, outcome: SweepResult) -> dict[str, Any]:
-    """The data of figure 5: a window's bidders, and what became of their tasks.
+    """Make the data of figure 5: the bidders of a window, and the outcomes of their tasks.
 
     Args:
-      config: one fleet size, `POLICIES`.
-      outcome: of that sweep.
+      config: of a sweep of one fleet size under `POLICIES`.
+      outcome: results of that sweep.
 
     Raises:
       BadInput: no window fits `RULE`.
@@ -145,7 +145,7 @@ def figure5(config: SweepConfig, outcome: SweepResult) -> dict[str, Any]:
 def bidder(
     config: SweepConfig, events: Sequence[Event], tasks: pl.DataFrame, bid: Event, *, won: bool
 ) -> dict[str, Any]:
-    """A bidder: its scene, its bid, the first input under pgf, and what became of its task."""
+    """The data of a bidder: scene, bid, first input under pgf, and the outcomes of its task."""
     assert bid.robot is not None and bid.task is not None
     given, push = answer(events, bid), None
     if given is not None and given.object is not None:
@@ -157,9 +157,9 @@ def bidder(
         "task": bid.task,
         "won": won,
         "gain": rounded(bid.gain, 2),
-        # Without an input before it, and so without a push, all iterations were of reaching.
+        # There was no input before, so no push: all iterations were of reaching.
         "iteration": bid.iteration,
-        "scene": scene_content(task_scene(config, None, bid.robot, bid.task)),
+        "scene": scene_content(task_scenes(config).scene(bid.robot, bid.task)),
         "first_input": None if given is None else given.outcome,
         "first_push": push,
         "outcomes": {
@@ -169,7 +169,7 @@ def bidder(
 
 
 def table(content: dict[str, Any]) -> bytes:
-    """`figure5.csv`: one row a bidder."""
+    """Content of `figure5.csv`: one row per bidder."""
     rows = []
     for bidder in content["bidders"]:
         push = bidder["first_push"] or {"object": None, "target": (None, None)}

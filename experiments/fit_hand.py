@@ -1,11 +1,11 @@
-"""Fit the planar hand to the measured footprint: the tables of `pgf_jax/physics/hand.py`.
+"""Fits the planar hand to the measured footprint, for the tables of `pgf_jax/physics/hand.py`.
 
     python experiments/fit_hand.py FOOTPRINT.json
 
-Prints each moving link's joint and angle (least squares over the four gripper values; the residual
-says how rigid it is) and the capsule that covers each link's footprint best. The fingertips' pads
-are then set by hand: a thin capsule along the inner face and one across the front, reaching
-6 mm into the gap.
+The script prints the joint and the angle of each moving link (least squares over the four gripper
+values; the residual says how rigid the link is), and the capsule that covers the footprint of each
+link best. The pads of the fingertips are then set by hand: a thin capsule along the inner face and
+one across the front, which reaches 6 mm into the gap.
 """
 
 import dataclasses
@@ -25,16 +25,16 @@ EDGE = 0.0004  # m, over which a capsule's edge is softened for the optimiser
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """Where the footprint is."""
+    """Options of the script."""
 
     footprint: Annotated[Path, tyro.conf.Positional]
 
 
 def rigid_motion(before: np.ndarray, after: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Angle, rotation [2, 2] and shift [2] that carry one polygon [V, 2] to the other."""
+    """Fit the angle, rotation [2, 2] and shift [2] that map one polygon [V, 2] to the other."""
     best = (np.inf, 0.0, np.eye(2), np.zeros(2))
     a = before - before.mean(0)
-    for start in range(len(after)):  # hulls may start at another vertex
+    for start in range(len(after)):  # the two hulls may start at different vertices
         turned = np.roll(after, start, 0)
         b = turned - turned.mean(0)
         angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
@@ -47,7 +47,7 @@ def rigid_motion(before: np.ndarray, after: np.ndarray) -> tuple[float, np.ndarr
 
 
 def distance(points: np.ndarray, capsule: np.ndarray) -> np.ndarray:
-    """[P] signed distance of points to a capsule (x1, y1, x2, y2, radius)."""
+    """Signed distance [P] of points [P, 2] to a capsule (x1, y1, x2, y2, radius)."""
     a, b, radius = capsule[:2], capsule[2:4], capsule[4]
     ab = b - a
     t = np.clip(((points - a) @ ab) / max(ab @ ab, 1e-12), 0, 1)
@@ -55,7 +55,7 @@ def distance(points: np.ndarray, capsule: np.ndarray) -> np.ndarray:
 
 
 def fit_capsule(polygon: np.ndarray) -> tuple[np.ndarray, float]:
-    """The capsule that differs least from the polygon in area; that area, mm^2."""
+    """Fit the capsule whose area differs least from the polygon's; also returns that area, mm^2."""
     low, high = polygon.min(0) - 0.015, polygon.max(0) + 0.015
     axes = [np.arange(low[i], high[i], CELL) for i in (0, 1)]
     points = np.stack(np.meshgrid(*axes), -1).reshape(-1, 2)
@@ -78,7 +78,7 @@ def fit_capsule(polygon: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def main(config: Config) -> None:
-    """Print links and capsules."""
+    """Fit and print the links and capsules."""
     measured = json.loads(config.footprint.read_text())["gripper"]
     shapes = {g: {n: np.array(p) for n, p in links.items()} for g, links in measured.items()}
     closing = [g for g in shapes if g != "0"]

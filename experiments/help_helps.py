@@ -1,11 +1,11 @@
-"""Does human input help where planning alone is slow? Hard scenes, same keys, with and without.
+"""Compares planning with and without human input on hard scenes, with the same keys.
 
     python experiments/help_helps.py [--scenes 330] [--operator heuristic|oracle|clairvoyant]
 
-Scenes of the three classes are planned alone; those unsolved after 6 iterations are hard.
-They are planned again with the same keys and the operator, who is asked once, after iteration 3
-(`--again`: after every third), and answers at once. An iteration counts whether it reaches or
-pushes. What single pushes are worth there, chosen well or badly: `push_outcomes.py`.
+Scenes of the three classes are planned alone; those unsolved after 6 iterations are hard. They are
+planned again with the same keys and an operator, who is asked once, after iteration 3 (`--again`:
+after every third iteration), and answers at once. Iterations of reaching and of pushing count
+alike. `push_outcomes.py` measures what single pushes are worth on such scenes.
 """
 
 import dataclasses
@@ -26,7 +26,7 @@ HARD_AFTER, LIMIT = 6, 30  # iterations
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """What is compared."""
+    """Options of the script."""
 
     scenes: int = 330  # sampled, a third of each class
     seed: int = 3000  # of the first scene
@@ -38,7 +38,7 @@ class Config:
 
 @dataclasses.dataclass(frozen=True)
 class Helped(PlanConfig):
-    """Asks once."""
+    """Settings of a plan that asks for input once."""
 
     @property
     def policy(self) -> str:
@@ -52,7 +52,7 @@ def solved_within(plan: Plan, limit: int) -> bool:
 
 
 def main(config: Config) -> None:
-    """Plan, compare, print."""
+    """Plan with and without help, and print the comparison."""
     console = Console()
     scenes = [
         (sample_scene(config.seed + i // 3, PRESETS[i % 3]), config.seed + i)
@@ -80,7 +80,7 @@ def main(config: Config) -> None:
 
 
 def report(console: Console, pairs: list[tuple[Plan, Plan]], config: Config) -> None:
-    """The table by class, then the figures over all hard scenes."""
+    """Print the table by class, then the statistics of all hard scenes."""
     asked = "every third iteration" if config.again else "once, after iteration 3"
     table = Table(
         title=f"hard scenes: solved within {LIMIT} iterations ({config.operator}, asked {asked})"

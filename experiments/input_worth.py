@@ -1,4 +1,4 @@
-"""What an operator's input is worth: collected forks in a few lines, by the goal's room to a wall.
+"""Summarises collected forks: what an operator's input is worth, by the goal's distance to a wall.
 
 pgf-jax collect forks --scenes 240 --seed 500000 --operator oracle --out DIR
 python experiments/input_worth.py DIR [DIR ...]
@@ -16,7 +16,7 @@ from pgf_jax.tables.forks import FORK, read_forks
 from pgf_jax.tables.parquet import read_provenance
 from pgf_jax.tables.runs import Mode, runs_path
 
-NEAR_WALL = 0.10  # m, room of the goal to the nearer side wall
+NEAR_WALL = 0.10  # m, distance of the goal to the nearer side wall
 PARTS = {
     "all": pl.lit(True),
     f"under {NEAR_WALL} m": pl.col("state:room") < NEAR_WALL,
@@ -26,9 +26,9 @@ PARTS = {
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """Whose forks."""
+    """Options of the script."""
 
-    data: tyro.conf.Positional[tuple[Path, ...]]  # folders, as given to collect
+    data: tyro.conf.Positional[tuple[Path, ...]]  # folders of collected forks
 
 
 def main(config: Config) -> None:

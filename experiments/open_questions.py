@@ -1,10 +1,10 @@
-"""What the paper left open: where asking by prediction pays, and how many robots one human serves.
+"""Studies what the paper left open: when prediction pays, and how many robots one human serves.
 
     python experiments/open_questions.py [--preset quick|full] [--draw]
 
-Fleets of 5 to 40 robots with eight tasks each on the three scene classes in turn. One thing is
-changed at a time: how long the operator takes, the window, the number of operators, the computers,
-the scene class, how good the operator is, and the policy. Each is run with several seeds; intervals
+Fleets of 5 to 40 robots have eight tasks each, on the three scene classes in turn. One thing is
+changed at a time: the service time, the window, the number of operators, the computers, the scene
+class, the quality of the operator, and the policy. Every point runs with several seeds; intervals
 are over seeds. `--draw` makes the figures and the tables again from the stored rows.
 """
 
@@ -27,7 +27,7 @@ WINDOWS = ("pgf", "best", "or-hitl-window")
 
 @dataclasses.dataclass(frozen=True)
 class Point:
-    """One setting of one question."""
+    """One value of one question, with the settings that it changes."""
 
     question: str
     value: str
@@ -45,7 +45,7 @@ POINTS = (
     ),
     *(Point("window", f"{s:g} s", {"window": s}, WINDOWS) for s in (0.0, 1.0, 4.0, 8.0)),
     *(Point("operators", str(n), {"operators": n}) for n in (2, 4)),
-    # Nobody ever waits: what full service is worth.
+    # No robot ever waits: the reference of full service.
     Point("operators", "one each", {"operators": max(SIZES)}),
     *(Point("computers", f"{c} cores", {"compute": f"shared:{c}"}, MAIN) for c in (96, 192)),
     Point("computers", "slow: rollouts of 6 s", {"rollout_time": 6.0}, MAIN),
@@ -74,7 +74,7 @@ POINTS = (
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """What is run."""
+    """Options of the script."""
 
     preset: Literal["quick", "full"] = "full"
     draw: bool = False  # only draw, from the stored rows
@@ -82,11 +82,11 @@ class Config:
 
 
 def runs(quick: bool) -> list[Run]:
-    """All sweeps of all points."""
+    """The runs of all points."""
     found = []
     for point in POINTS:
         for seed in range(2 if quick else SEEDS):
-            # The predictor is a sweep's, not a policy's: `best` is a sweep of its own.
+            # A sweep has one predictor for all policies, so `best` is a sweep of its own.
             groups = {
                 "paper": tuple(p for p in point.policies if p != "best"),
                 "best": ("pgf",) if "best" in point.policies else (),
@@ -113,7 +113,7 @@ def runs(quick: bool) -> list[Run]:
 
 
 def main(config: Config) -> None:
-    """Run what is missing, then draw."""
+    """Compute the missing runs, then draw."""
     out = stored(config.preset)
     if not config.draw:
         compute("open_questions", runs(config.preset == "quick"), out, config.raw / config.preset)

@@ -1,55 +1,40 @@
-"""Figures and tables of `open_questions.py`, made from its stored rows alone."""
+"""Makes the figures and tables of `open_questions.py`, from its stored rows alone."""
 
 import math
 from pathlib import Path
 
 import polars as pl
 from matplotlib.figure import Figure
-from study_runs import difference, over_seeds, read, text
+from study_rows import POLICIES, difference, fleets, over_seeds, read, table_row, text
 
 from pgf_jax.files import png, write_atomically
 from pgf_jax.fleet.metrics import Interval
 from pgf_jax.sweeping.figure6 import MARKERS
 
-POLICIES = {  # name here: (policy, predictor) of the rows
-    "PGF": ("pgf", "paper"),
-    "PGF, best": ("pgf", "best"),
-    "OR-HITL": ("or-hitl", "paper"),
-    "OR-HITL, window": ("or-hitl-window", "paper"),
-    "queue": ("queue", "paper"),
-    "always": ("always", "paper"),
-    "random": ("random", "paper"),
-    "classifier": ("classifier", "paper"),
-    "oracle-gain": ("oracle-gain", "paper"),
-    "autonomous": ("autonomous", "paper"),
-}
 COLORS = {name: f"C{i}" for i, name in enumerate(POLICIES)} | {"autonomous": "0.45"}
-LOSS = 0.05  # of a fully served robot's success, or throughput, that is accepted
+LOSS = 0.05  # accepted loss of success or throughput, against a robot that is always served
 DEFAULT = {"service time": "8 s", "window": "2 s", "operators": "1", "computers": "of their own",
            "scenes": "all three"}  # fmt: skip
 
 
 class Rows:
-    """Rows of the study, cell by cell."""
+    """The stored rows of the study."""
 
     def __init__(self, name: str, out: Path) -> None:
-        # Solved tasks by the time that robots spent on theirs: not by the time until the last one
-        # is done, in which most are idle.
+        # Solved tasks per time that robots spend on tasks. The time until the last task is done
+        # would include the time in which most robots are idle.
         rate = (pl.col("solved") / pl.col("robot_hours")).alias("rate")
         self.frame = read(name, out).with_columns(pl.col("value").fill_null(""), rate)
         self.sizes = sorted(self.frame.filter(question="default")["robots"].unique().to_list())
 
     def cell(self, question: str, value: str, policy: str, robots: int) -> pl.DataFrame:
-        """One fleet a seed; a question's default value is the default point."""
-        name, predictor = POLICIES[policy]
+        """The fleets of one cell, one per seed; a default value means the default point."""
         if DEFAULT.get(question) == value:
             question, value = "default", ""
-        return self.frame.filter(
-            question=question, value=value, policy=name, predictor=predictor, robots=robots
-        )
+        return fleets(self.frame, policy, robots, question=question, value=value)
 
     def values(self, question: str) -> list[str]:
-        """Its values, the default among them, in order."""
+        """The values of a question in order, including the default."""
         found = self.frame.filter(question=question)["value"].unique(maintain_order=True).to_list()
         found = [value for value in found if "an operator each" not in value]  # references
         if question not in DEFAULT:
@@ -80,7 +65,7 @@ SURFACE = ("service time", "window", "operators", "computers")
 
 
 def _leads(rows: Rows) -> Figure:
-    """What prediction saves, over the fleet's size, for each setting of four questions."""
+    """Planning time saved by prediction over the fleet size, for each value of four questions."""
     figure = Figure(figsize=(12, 6.4), layout="constrained")
     axes = figure.subplots(2, len(SURFACE), sharex=True, sharey="row")
     for column, question in enumerate(SURFACE):
@@ -126,7 +111,7 @@ def _lead(
 
 
 def _fleets(rows: Rows) -> Figure:
-    """Throughput, success and planning time of every policy over the fleet's size."""
+    """Throughput, success and planning time of every policy over the fleet size."""
     figure = Figure(figsize=(12, 4.2), layout="constrained")
     axes = figure.subplots(1, 3)
     values = (
@@ -163,12 +148,11 @@ def _fleets(rows: Rows) -> Figure:
 
 def _table(headings: list[str], lines: list[list[str]]) -> str:
     rule = "|" + "---|" * len(headings)
-    rows = ["| " + " | ".join(cells) + " |" for cells in (headings, *lines)]
-    return "\n".join([rows[0], rule, *rows[1:]])
+    return "\n".join([table_row(headings), rule, *map(table_row, lines)])
 
 
 def _surface(rows: Rows) -> str:
-    """Planning time saved, setting by setting."""
+    """Table of the planning time saved, for each value of each question."""
     lines = []
     for question in (*SURFACE, "scenes"):
         for value in rows.values(question):
@@ -187,7 +171,7 @@ def _surface(rows: Rows) -> str:
 
 
 def _fan_out(rows: Rows) -> str:
-    """Largest fleets that one operator serves, and the knee of the machine-repair model."""
+    """Table of the largest fleets for one operator, and the knee of the machine-repair model."""
     lines = []
     settings = [  # (question, value) of one operator, and of an operator each
         (("default", ""), ("operators", "one each")),
@@ -228,7 +212,7 @@ def _fan_out(rows: Rows) -> str:
 
 
 def _largest(cells: dict, full: dict, value: str) -> str:
-    """The largest fleet up to which every smaller one is within the loss as well."""
+    """The largest fleet that is within the loss, as all smaller ones are too."""
     best = None
     for robots, cell in cells.items():
         ratio = over_seeds(cell, value).mean / over_seeds(full[robots], value).mean
@@ -239,7 +223,7 @@ def _largest(cells: dict, full: dict, value: str) -> str:
 
 
 def _cycle(served: pl.DataFrame) -> tuple[float, float]:
-    """Robot-time between two services (planning and executing), and of one service, s."""
+    """Robot time between two services (planning and executing), and time of a service, s."""
     hours, grants = float(served["robot_hours"].sum()), int(served["grants"].sum())
     busy = float((served["utilisation"] * served["hours"] * served["operators"]).sum())
     if not grants:
@@ -248,7 +232,7 @@ def _cycle(served: pl.DataFrame) -> tuple[float, float]:
 
 
 def _policies(rows: Rows) -> str:
-    """All policies at the sizes at which all were run."""
+    """Table of all policies, at the sizes at which all were run."""
     few = sorted(rows.frame.filter(question="policy")["robots"].unique().to_list())
     lines = []
     for robots in few:
@@ -275,7 +259,7 @@ def _policies(rows: Rows) -> str:
 
 
 def _operators(rows: Rows) -> str:
-    """Operators of different quality."""
+    """Table of operators of different quality."""
     lines = []
     robots = rows.frame.filter(question="operator")["robots"].unique().item()
     for value in rows.values("operator"):
@@ -297,7 +281,7 @@ def _operators(rows: Rows) -> str:
 
 
 def _attention(rows: Rows) -> str:
-    """How the operator's attention is spent."""
+    """Table of how the operator's attention is spent."""
     lines = []
     for robots in rows.sizes:
         for policy in ("PGF", "PGF, best", "OR-HITL", "OR-HITL, window", "queue"):

@@ -1,12 +1,13 @@
-"""How far `mjx`, at the settings that ship, ends from MuJoCo C with its solver converged.
+"""Measures how far an engine ends from MuJoCo C whose solver has converged.
 
     python experiments/parity.py [SCENES_DIR] [--engine mjx] [--count 60] [--json]
     python experiments/parity.py [SCENES_DIR] --engine native --reference-substeps 300
 
-Each scene's reach nominal with the planner's noise, 8 times (sigma 0.04, seed 0), on the same MJCF:
-distance of the final positions (3 s) of the objects that `native` moved by more than 5 mm, and the
-relative difference of contact forces over 1 N at the first knot with contact. Without SCENES_DIR,
-on sampled scenes.
+The engine, at the settings that ship, and `native` with a converged solver simulate the same
+rollouts: the reach nominal of each scene with the planner's noise, 8 times (sigma 0.04, seed 0).
+The script prints the distances between the final positions (after 3 s) of the objects that `native`
+moved by more than 5 mm, and the relative difference of contact forces over 1 N at the first knot
+with contact. Without SCENES_DIR the scenes are sampled.
 """
 
 import dataclasses
@@ -29,18 +30,18 @@ MOVED_M, FORCE_N = 0.005, 1.0
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """What is compared."""
+    """Options of the script."""
 
     scenes: Annotated[Path | None, tyro.conf.Positional] = None  # folder of MJCF scenes
     engine: str = "mjx"
     count: int = 60  # scenes
     seed: int = 0
-    reference_substeps: int | None = None  # a finer reference: what the substep costs
+    reference_substeps: int | None = None  # of the reference, to measure the error of the substep
     json: bool = False
 
 
 def force_differences(reference: Rollout, other: Rollout) -> np.ndarray:
-    """Relative force difference of each pair of bodies over 1 N, first knot with contact."""
+    """Relative differences of the forces over 1 N of pairs of bodies, at the first such knot."""
     differences = []
     for force, bodies, force2, bodies2 in zip(
         reference.force, reference.bodies, other.force, other.bodies, strict=True
@@ -56,7 +57,7 @@ def force_differences(reference: Rollout, other: Rollout) -> np.ndarray:
 
 
 def by_pair(force: np.ndarray, bodies: np.ndarray) -> dict[tuple[int, int], float]:
-    """Summed contact force of each pair of bodies, N."""
+    """Sum of the contact forces of each pair of bodies, N."""
     total: dict[tuple[int, int], float] = {}
     for f, (a, b) in zip(force, bodies, strict=True):
         if f > 0:
@@ -72,8 +73,8 @@ def main(config: Config) -> None:
     else:
         scenes = [load_scene(p) for p in sorted(config.scenes.glob("*.xml"))][: config.count]
     n = len(scenes[0].objects)
-    # MuJoCo measures its tolerance against inertias, the hand's armature among them: 1e-10 of an
-    # object's needs this much less.
+    # MuJoCo scales its tolerance by the inertias, which include the hand's armature. A tolerance of
+    # 1e-10 for an object needs this smaller value.
     tolerance = 1e-10 / KINEMATIC_ARMATURE
     physics = Physics()
     if config.reference_substeps is not None:
@@ -87,7 +88,7 @@ def main(config: Config) -> None:
     reference = converged.rollout(start, controls, gripper, physics.substeps)
     parts = []
     size = lanes * 8
-    for i in range(0, len(controls), size):  # one batch shape; the last call is filled up
+    for i in range(0, len(controls), size):  # one batch shape; the last call is padded
         index = np.minimum(np.arange(i, i + size), len(controls) - 1)
         part = other.rollout(
             World(*(f[index] for f in start)), controls[index], gripper[index], substeps
@@ -113,7 +114,7 @@ def main(config: Config) -> None:
         },
         "force_relative_median": float(np.median(forces)),
         "forces_compared": len(forces),
-        # Slots beyond which contacts are dropped, the shallowest first (knot ends only).
+        # Contacts beyond the slots are dropped, the shallowest first (counted at knot ends only).
         "knots_with_all_contact_slots_in_use": int(((result.force > 0).sum(-1) == slots).sum()),
         "non_finite": int((~np.isfinite(result.objects)).any((1, 2, 3)).sum()),
     }

@@ -1,7 +1,9 @@
-"""How good predictions are: of costs on held-out runs, and of gains on forks.
+"""Statistics on predictors: errors of predicted costs, and the worth of bids by predicted gains.
 
-Intervals are 95 % percentile bootstraps that resample whole scenes, because rows of one scene are
-not independent of each other.
+Costs are judged on held-out runs, gains on forks. Intervals are 95 % percentile bootstraps that
+resample whole scenes, because rows of one scene are not independent of each other.
+
+Used by `predictor_report.py` and `choose_predictor.py`.
 """
 
 import dataclasses
@@ -13,12 +15,12 @@ from pgf_jax.streams import stream
 from pgf_jax.tables.forks import Forks
 
 RESAMPLES = 1000
-BID = 1.0  # a robot bids when its gain exceeds this (D6)
+BID = 1.0  # a robot bids when its predicted gain exceeds this (paper, Alg. 2), units of cost
 
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """A figure with its 95 % interval."""
+    """A value with its 95 % interval."""
 
     value: float
     low: float
@@ -31,12 +33,12 @@ class Estimate:
 def bootstrap(
     figure: Callable[[np.ndarray], float], scene: np.ndarray, resamples: int = RESAMPLES
 ) -> Estimate:
-    """`figure(index)` of all rows, with an interval from scenes drawn with replacement.
+    """A statistic of all rows, with an interval from scenes drawn with replacement.
 
     Args:
-      figure: of the rows with these indices; an index may come more than once.
+      figure: computes the statistic of the rows with given indices, which may repeat.
       scene: [M] the scene of each row.
-      resamples: how many.
+      resamples: number of draws.
     """
     names, group = np.unique(scene, return_inverse=True)
     order = np.argsort(group, kind="stable")
@@ -51,22 +53,22 @@ def bootstrap(
 
 
 def rmse(error: np.ndarray) -> float:
-    """Root of the mean square."""
+    """Root of the mean square of errors."""
     return float(np.sqrt(np.mean(np.square(error))))
 
 
 def mae(error: np.ndarray) -> float:
-    """Mean magnitude; what the published code calls RMSE."""
+    """Mean magnitude of errors, which the published code calls RMSE."""
     return float(np.mean(np.abs(error)))
 
 
 @dataclasses.dataclass(frozen=True)
 class Errors:
-    """Errors of a prediction of costs.
+    """Errors of predicted costs.
 
     Attributes:
       rmse, mae: in units of cost.
-      to_last: its RMSE over that of the last cost, and `to_mean` over that of the mean.
+      to_last, to_mean: RMSE over that of predicting the last cost, or the mean of the targets.
     """
 
     rmse: Estimate
@@ -78,13 +80,13 @@ class Errors:
 def cost_errors(
     predicted: np.ndarray, target: np.ndarray, last: np.ndarray, mean: float, scene: np.ndarray
 ) -> Errors:
-    """Errors of predicted costs, beside those of two trivial predictors.
+    """Compute errors of predicted costs, and compare them with two trivial predictors.
 
     Args:
       predicted, target: [M] costs.
-      last: [M] the cost at the moment of prediction, as if nothing would change.
-      mean: of the targets that the predictor was trained on.
-      scene: [M].
+      last: [M] cost at the moment of prediction; one trivial predictor.
+      mean: of the targets that the predictor was trained on; the other one.
+      scene: [M] the scene of each row.
     """
     error = predicted - target
 
@@ -100,14 +102,14 @@ def cost_errors(
 
 
 def noise_floor(costs: np.ndarray) -> tuple[float, float]:
-    """RMSE and MAE of who knows a state's costs but for the noise to come.
+    """RMSE and MAE of a predictor that knows everything but the future noise.
 
     Args:
-      costs: [F, K] of F states under K keys.
+      costs: [F, K] of F states under K keys of the noise.
 
     Returns:
-      The root of the mean variance over keys, unbiased; and the mean distance of a cost to the
-      median of the state's other ones.
+      The root of the mean unbiased variance over keys; and the mean distance of a cost to the
+      median of the state's other costs.
     """
     keys = costs.shape[1]
     others = [np.median(np.delete(costs, k, axis=1), axis=1) for k in range(keys)]
@@ -116,7 +118,11 @@ def noise_floor(costs: np.ndarray) -> tuple[float, float]:
 
 
 def rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Spearman's; equal values share the mean of their ranks. nan where one is constant."""
+    """Spearman's rank correlation; equal values share the mean of their ranks.
+
+    Returns:
+      nan if `a` or `b` is constant.
+    """
     x, y = _ranks(a), _ranks(b)
     x, y = x - x.mean(), y - y.mean()
     scale = np.sqrt((x**2).sum() * (y**2).sum())
@@ -129,13 +135,13 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True)
-class Choice:
-    """How bids choose among m robots.
+class WindowScores:
+    """How well bids choose one of the m robots of a window.
 
     Attributes:
       hit: share of windows in which the robot with the largest true gain is chosen.
-      regret: the largest true gain less the chosen robot's, mean over windows, units of cost.
-      to: its regret over that of another one's bids, by name.
+      regret: largest true gain less that of the chosen robot, mean over windows, units of cost.
+      to: the regret over that of other bids, by their name.
     """
 
     hit: Estimate
@@ -151,16 +157,16 @@ def windows(
     beside: Sequence[str] = (),
     count: int = 4000,
     resamples: int = 200,
-) -> dict[str, Choice]:
-    """Choose one of m robots by their bids, in windows of m states drawn at random.
+) -> dict[str, WindowScores]:
+    """Score bids in windows of m states drawn at random, in which the highest bid is chosen.
 
     Args:
-      bids: [F] of each kind of bidder, in the same windows; of equal bids, a random one wins.
+      bids: [F] bids by name, scored in the same windows; among equal bids a random one wins.
       forks: the states.
       m: robots in a window.
-      beside: names of bidders to whose regret the others' is compared.
-      count: windows.
-      resamples: of the states, for the intervals.
+      beside: names of the bids to whose regret that of the others is compared.
+      count: number of windows.
+      resamples: number of draws of the states, for the intervals.
     """
     truth, stack = forks.gain, np.stack(list(bids.values()))
     states = np.arange(len(truth))
@@ -171,7 +177,7 @@ def windows(
             _choose(stack, truth, truth, draw.integers(len(states), size=len(states)), m, count, r)
             for r in range(1, resamples + 1)
         ]
-    )  # [resamples, 2, bidders]
+    )  # [resamples, 2, names]
 
     def estimate(value: np.ndarray, drawn: np.ndarray) -> Estimate:
         low, high = np.quantile(drawn, (0.025, 0.975))
@@ -179,7 +185,7 @@ def windows(
 
     names = list(bids)
     return {
-        name: Choice(
+        name: WindowScores(
             hit=estimate(value[0, i], drawn[:, 0, i]),
             regret=estimate(value[1, i], drawn[:, 1, i]),
             to={
@@ -195,9 +201,9 @@ def windows(
 
 
 def reachable(forks: Forks, m: int, count: int = 4000) -> float:
-    """Regret of who knows the gains under half the keys, judged by the other half: truth's noise.
+    """Regret of choosing by the true gains under half of the keys, judged by the other half.
 
-    The halves take turns; regret is against the best by the half that judges.
+    The two halves take turns. This regret is due to the noise of the true gains alone.
     """
     half = forks.alone.shape[1] // 2
     gains = forks.alone - forks.helped
@@ -216,9 +222,9 @@ def _choose(
     count: int,
     seed: int,
 ) -> np.ndarray:
-    """[2, bidders]: share of windows with the best by `known` chosen, mean regret by `judged`."""
+    """Share of windows with the best robot by `known` chosen; mean regret by `judged`: [2, B]."""
     draw = stream(seed, "windows", m)
-    # m different ones of the states: the first m of a random order, window by window.
+    # In each window m different states: the first m of a random order.
     robots = states[np.argpartition(draw.random((count, len(states))), m - 1, axis=1)[:, :m]]
     luck = draw.random((count, m))
     every = np.arange(count)
@@ -226,20 +232,20 @@ def _choose(
     out = np.empty((2, len(bids)))
     for i, bid in enumerate(bids):
         chosen = robots[every, np.lexsort((luck, bid[robots]), axis=1)[:, -1]]
-        # Two gains are seldom equal, but for those of states at which help changes nothing.
+        # Gains are equal only at states at which help changes nothing.
         out[:, i] = (known[chosen] >= known[best]).mean(), (judged[best] - judged[chosen]).mean()
     return out
 
 
 @dataclasses.dataclass(frozen=True)
-class Bids:
-    """What bidding when the predicted gain exceeds 1 is worth.
+class BidStatistics:
+    """True gains of states at which a robot bids, because its predicted gain exceeds 1, and others.
 
     Attributes:
-      ask_rate: share of the states at which the robot would bid.
-      pays: share at which help pays: the true gain exceeds 1.
-      pays_if_bid, pays_if_not: the same among those that bid, and among the others.
-      harms_if_bid, harms_if_not: share at which the true gain is below -1.
+      ask_rate: share of the states at which the robot bids.
+      pays: share of the states at which help pays: the true gain exceeds 1.
+      pays_if_bid, pays_if_not: the same among states with a bid, and among the others.
+      harms_if_bid, harms_if_not: share of the states at which the true gain is below -1.
       gain_if_bid, gain_if_not: mean true gain.
     """
 
@@ -253,14 +259,14 @@ class Bids:
     gain_if_not: float
 
 
-def bids(bid: np.ndarray, forks: Forks) -> Bids:
-    """Whether the predicted sign says when not to ask."""
+def bid_statistics(bid: np.ndarray, forks: Forks) -> BidStatistics:
+    """Compare the true gains of states with a bid and without."""
     asks, truth = bid > BID, forks.gain
 
     def mean(values: np.ndarray) -> float:
         return float(values.mean()) if len(values) else float("nan")
 
-    return Bids(
+    return BidStatistics(
         ask_rate=mean(asks),
         pays=mean(truth > BID),
         pays_if_bid=mean(truth[asks] > BID),
@@ -273,7 +279,7 @@ def bids(bid: np.ndarray, forks: Forks) -> Bids:
 
 
 def calibration(bid: np.ndarray, forks: Forks, groups: int = 5) -> list[tuple[float, Estimate]]:
-    """Mean predicted gain and mean true gain of equally many states each, by predicted gain."""
+    """Mean predicted and mean true gain of groups of equally many states, by predicted gain."""
     truth = forks.gain
     out = []
     for part in np.array_split(np.argsort(bid, kind="stable"), groups):

@@ -1,55 +1,29 @@
-"""The figures of `train_predictors.py`: how good the predictors are, as data and as tables."""
+"""Measures how good the predictors are, as data and as Markdown tables.
+
+Part of `train_predictors.py`.
+"""
 
 import dataclasses
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import predictor_evaluation as ev
 from matplotlib.figure import Figure
+from predictor_data import Data
 
 from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.guidance.predictors.features import STATE
 from pgf_jax.planning.types import LOOK_AHEAD
 from pgf_jax.scene import PRESETS
-from pgf_jax.tables.forks import Forks, read_forks
-from pgf_jax.tables.parquet import read_provenance
-from pgf_jax.tables.runs import Mode, read_runs, runs_path
+from pgf_jax.tables.forks import Forks
 from pgf_jax.training.fit import Trained
 
-if TYPE_CHECKING:
-    from train_predictors import Data
-
-PAPER = {"phi_auto": 58.56, "phi_human": 157.49}  # "RMSE", which the published code takes as MAE
+PAPER = {"phi_auto": 58.56, "phi_human": 157.49}  # called RMSE; the published code computes the MAE
 SIZES = (2, 4, 8)  # robots in a window
 LAST = [STATE.index(f"{term}[t-0]") for term in ("c_d", "c_f", "c_b")]
-
-
-def describe(folder: Path, mode: Mode) -> dict[str, Any]:
-    """What a collection holds."""
-    path = runs_path(folder, mode)
-    settings = read_provenance(path)
-    frame = read_forks(path) if mode == Mode.FORKS else read_runs(path)
-    first = frame.group_by("scene").first()
-    kinds = frame["input"].eq("push") if mode == Mode.FORKS else frame["asked_before"]
-    if mode == Mode.FORKS:
-        solved = [frame["alone_solved"].mean(), frame["helped_solved"].mean()]
-    else:
-        reached = frame.filter(frame["feasible"] & (frame["kind"] == "reach"))
-        solved = [reached["scene"].n_unique() / len(first)]
-    return {
-        "data": f"{folder.name}/{mode}",
-        "scenes": settings["scenes"],
-        "with_data": len(first),
-        "by_class": {name: int((first["class"] == name).sum()) for name in PRESETS},
-        "solved": solved,
-        "with_input": int(frame.filter(kinds)["scene"].n_unique()),
-        "seed": settings["settings"]["seed"],
-        "operator": settings["settings"]["operator"] if mode != Mode.AUTONOMOUS else "",
-    }
 
 
 def _parts(classes: np.ndarray) -> Iterable[tuple[str, np.ndarray]]:
@@ -59,8 +33,8 @@ def _parts(classes: np.ndarray) -> Iterable[tuple[str, np.ndarray]]:
             yield name, index
 
 
-def cost_table(data: "Data", networks: Mapping[str, Sequence[Trained]]) -> list[dict[str, Any]]:
-    """Errors of both networks on the held-out runs, by class."""
+def cost_table(data: Data, networks: Mapping[str, Sequence[Trained]]) -> list[dict[str, Any]]:
+    """Errors of the cost networks on the held-out runs, by class."""
     out = []
     judged = [name for name in networks if name.startswith("phi_")]
     for label in judged:
@@ -100,21 +74,21 @@ def cost_table(data: "Data", networks: Mapping[str, Sequence[Trained]]) -> list[
     return out
 
 
-def gain_table(forks: Forks, bidders: Mapping[str, Sequence[GainPredictor]]) -> dict[str, Any]:
-    """How bids compare with true gains on the held-out forks, by class."""
+def gain_table(forks: Forks, predictors: Mapping[str, Sequence[GainPredictor]]) -> dict[str, Any]:
+    """Comparison of bids with true gains on the held-out forks, by class."""
     out: dict[str, Any] = {}
     for name, index in _parts(forks.scene_class):
         part = forks.take(index)
         of_seed = [
-            {kind: every[seed].gain(part.state) for kind, every in bidders.items()}
-            for seed in range(len(next(iter(bidders.values()))))
+            {kind: every[seed].gain(part.state) for kind, every in predictors.items()}
+            for seed in range(len(next(iter(predictors.values()))))
         ]
         trivial = {
             "random": np.zeros(len(index)),
             "the cost now": part.state[:, LAST].sum(axis=1),
             "oracle": part.gain,
         }
-        rows: dict[str, Any] = {kind: {"windows": {}} for kind in (*trivial, *bidders)}
+        rows: dict[str, Any] = {kind: {"windows": {}} for kind in (*trivial, *predictors)}
         for m in SIZES:
             chosen = ev.windows({**trivial, **of_seed[0]}, part, m, beside=("random", "paper"))
             others = [ev.windows(bids, part, m, resamples=1) for bids in of_seed[1:]]
@@ -126,11 +100,11 @@ def gain_table(forks: Forks, bidders: Mapping[str, Sequence[GainPredictor]]) -> 
                     "regret_seeds": [np.mean(regrets), np.min(regrets), np.max(regrets)],
                 }
         for kind in rows:
-            bids = [seed[kind] for seed in of_seed] if kind in bidders else [trivial[kind]]
+            bids = [seed[kind] for seed in of_seed] if kind in predictors else [trivial[kind]]
             ranks = [ev.rank_correlation(bid, part.gain) for bid in bids]
             rows[kind]["rank_correlation"] = [np.mean(ranks), np.min(ranks), np.max(ranks)]
-            if kind in bidders and kind != "classifier":  # which bids a probability
-                rows[kind]["bids"] = dataclasses.asdict(ev.bids(bids[0], part))
+            if kind in predictors and kind != "classifier":  # the classifier bids a probability
+                rows[kind]["bids"] = dataclasses.asdict(ev.bid_statistics(bids[0], part))
                 rows[kind]["calibration"] = [
                     (predicted, dataclasses.asdict(true))
                     for predicted, true in ev.calibration(bids[0], part)
@@ -149,12 +123,12 @@ def gain_table(forks: Forks, bidders: Mapping[str, Sequence[GainPredictor]]) -> 
     return out
 
 
-def draw_calibration(forks: Forks, bidders: Mapping[str, Sequence[GainPredictor]]) -> bytes:
-    """Predicted against true gain, in groups of equally many states, as a PNG."""
+def draw_calibration(forks: Forks, predictors: Mapping[str, Sequence[GainPredictor]]) -> bytes:
+    """Draw predicted against true gains, in groups of equally many states, as a PNG."""
     figure = Figure(figsize=(4.6, 4.2), layout="constrained")
     ax = figure.subplots()
     for kind in ("paper", "best"):
-        points = ev.calibration(bidders[kind][0].gain(forks.state), forks)
+        points = ev.calibration(predictors[kind][0].gain(forks.state), forks)
         predicted, true = [x for x, _ in points], [t for _, t in points]
         spread = [[t.value - t.low for t in true], [t.high - t.value for t in true]]
         ax.errorbar(predicted, [t.value for t in true], spread, marker="o", capsize=2, label=kind)
@@ -183,8 +157,8 @@ def _spread(three: Sequence[float], digits: int = 1) -> str:
 
 
 def readme(content: Mapping[str, Any], files: Sequence[str]) -> str:
-    """`checkpoints/README.md`."""
-    content = json.loads(json.dumps(content))  # keys as they are in figures.json
+    """Text of `checkpoints/README.md`."""
+    content = json.loads(json.dumps(content))  # keys become strings, as in figures.json
     collected = _table(
         (
             "data",
@@ -269,14 +243,14 @@ def _gains(name: str, part: Mapping[str, Any]) -> str:
             cells.append(_of(window["regret"], 1))
         last = row["windows"][str(SIZES[-1])]["to"]
         cells += [_of(last["random"]), _of(last["paper"])]
-        said = row.get("bids")
+        asking = row.get("bids")
         cells += (
             [
-                f"{100 * said['ask_rate']:.0f} %",
-                f"{100 * said['pays_if_bid']:.0f}, {100 * said['pays_if_not']:.0f} %",
-                f"{said['gain_if_bid']:.1f}, {said['gain_if_not']:.1f}",
+                f"{100 * asking['ask_rate']:.0f} %",
+                f"{100 * asking['pays_if_bid']:.0f}, {100 * asking['pays_if_not']:.0f} %",
+                f"{asking['gain_if_bid']:.1f}, {asking['gain_if_not']:.1f}",
             ]
-            if said
+            if asking
             else ["", "", ""]
         )
         rows.append(cells)
@@ -302,7 +276,7 @@ digits and the intervals), by
 
 `phi_auto` and `phi_human` are the paper's pair (`--predictor paper`, the default), `gain` is the
 one of `--predictor best`, `failure` the one of the policy `classifier`. Files are msgpack with a
-digest; shapes are checked on loading (`pgf_jax/guidance/checkpoint.py`).
+digest; shapes are checked on loading (`pgf_jax/guidance/predictors/checkpoint.py`).
 
 | file | size | sha256 |
 |---|---:|---|

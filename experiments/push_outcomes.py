@@ -1,13 +1,13 @@
-"""What pushes are worth where planning alone is slow: candidate pushes, each tried by rollouts.
+"""Measures what single pushes are worth on scenes that planning alone solves slowly.
 
     python experiments/push_outcomes.py [--scenes 90] [--pushes 12]
 
-Scenes not solved after 3 iterations are taken on in several ways from the same shelf: going on
-alone; the heuristic operator's first choice by geometry, before it imagines any; random pushes (of
-those it would consider). A push gets 3 iterations, and then the reach as many as make 11 with it;
-going on gets 11. The last column counts scenes in which any of the tried pushes came right: the
-best of several noisy tries, so above what a perfect choice of one push would reach. Rows by the
-goal's room to the nearer side wall.
+Scenes that are not solved after 3 iterations are continued in several ways from the same shelf:
+alone; with the push that the heuristic operator puts first by geometry; with random pushes among
+those that it considers. A push gets 3 iterations, and the reach after it the rest of 11; planning
+alone gets 11. The last column counts scenes in which any of the tried pushes succeeded: this is the
+best of several noisy tries, so more than a perfect choice of one push would reach. The rows are by
+the distance of the goal to the nearer side wall.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ ROOMS = (0.05, 0.08, 0.10, 0.15, 0.40)  # m
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """What is tried."""
+    """Options of the script."""
 
     scenes: int = 90  # a third of each class
     pushes: int = 12  # random ones, a scene
@@ -44,16 +44,16 @@ class Config:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """Of one scene: iterations that each way took, inf where it failed."""
+    """Iterations that each way took on one scene; inf if it failed."""
 
-    room: float  # m, goal to side wall
+    room: float  # m, from the goal to the nearer side wall
     alone: float
     chosen: float
     random: list[float]
 
 
 class Tries:
-    """Searches of many scenes, iterated with full lanes."""
+    """Iterates the searches of many scenes in full batches."""
 
     def __init__(self, config: Config) -> None:
         engine = make_engine(config.engine, lanes=config.lanes)
@@ -61,7 +61,7 @@ class Tries:
         self.rng = np.random.default_rng(config.seed)
 
     def iterate(self, searches: list[Search], limits: list[int]) -> list[Search]:
-        """Each until it is feasible, or has done its number of iterations."""
+        """Iterate each search until it is feasible or reaches its limit of iterations."""
         searches = list(searches)
         while todo := [
             i
@@ -76,7 +76,7 @@ class Tries:
         return searches
 
     def push(self, jobs: list[tuple[World, int, Push]]) -> list[float]:
-        """Iterations in all that each push and the reach after it take, inf where they fail."""
+        """Number of iterations of each push and the reach after it; inf if they fail."""
         pushes = [self.planner.begin_push(*job) for job in jobs]
         pushes = self.iterate(pushes, [PUSH] * len(pushes))
         done = [i for i, s in enumerate(pushes) if self.planner.terminate(s)]
@@ -98,7 +98,7 @@ class Tries:
 
 
 def outcomes(config: Config, seeds: range, tries: Tries) -> list[Outcome]:
-    """Of the scenes of some seeds, those that are slow."""
+    """Outcomes of the slow scenes among those of some seeds."""
     planner = tries.planner
     scenes = [sample_scene(seed, preset) for seed in seeds for preset in PRESETS]
     worlds = [start_world(s.positions) for s in scenes]
@@ -133,7 +133,7 @@ def outcomes(config: Config, seeds: range, tries: Tries) -> list[Outcome]:
 
 
 def main(config: Config) -> None:
-    """Try, and print the table."""
+    """Try the pushes, and print the table."""
     console, tries, found = Console(), Tries(config), []
     seeds = range(config.seed, config.seed + -(-config.scenes // len(PRESETS)))
     for k in range(0, len(seeds), 10):

@@ -1,6 +1,6 @@
-"""Do sampled scenes look like the published ones? One row of statistics a class.
+"""Compares sampled scenes with the published ones: one row of statistics for each class.
 
-python experiments/scene_statistics.py [--count 1000] [--seed 0] [DIRECTORY of published scenes]
+    python experiments/scene_statistics.py [--count 1000] [--seed 0] [DIRECTORY of published scenes]
 
 Published files warehouse_1..1000 are `tight`, 1001..2000 `medium`, 2001..3000 `wide`.
 """

@@ -1,12 +1,12 @@
-"""What does it cost to spread a sweep? Overhead of a cell, and Dask against local processes.
+"""Measures the overhead of a sweep's cells, with local processes and with Dask workers.
 
-The same sweep of many cells, in turn by persistent local processes and by persistent workers of a
-Dask scheduler over TCP on this computer, several times each, after a first one that compiles. What
-is compared is the time until the cells are on the disk; the tables are made afterwards.
+The same sweep of many cells is computed in turn by persistent local processes and by persistent
+workers of a Dask scheduler over TCP on this computer, several times each, after a first time that
+compiles. The times are those until the cells are on the disk; the tables are made afterwards.
 
-What a cell costs beyond its physics: `thought` around calls of the engine, the planner and the
-networks (the operator's candidates, states to be described), `fleets` (events, logs, files on the
-disk) and `between` batches (messages, and at the end waiting for whoever has the last one).
+The overhead of a cell, beyond calls of the engine, the planner and the networks, has three parts:
+`thought` (around these calls: the operator's candidates, the features of states), `fleets` (events,
+logs, files) and `between` (batches: messages, and at the end the wait for the last batch).
 
     python experiments/sweep_scaling.py --cells 80
 """
@@ -37,15 +37,15 @@ POLICIES = ("autonomous", "or-hitl", "or-hitl-window", "always", "queue", "pgf")
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Options.
+    """Options of the script.
 
     Attributes:
-      cells: in all, at least; each seed has a cell for each of six policies.
+      cells: least number of cells; each seed has a cell for each of six policies.
       robots: of each fleet.
       tasks: of each robot.
-      workers: processes.
+      workers: number of processes.
       rounds: how often each way is timed.
-      out: file for the figures (JSON).
+      out: file for the results (JSON).
     """
 
     cells: int = 80
@@ -58,14 +58,14 @@ class Options:
 
 @contextmanager
 def dask(workers: int, folder: Path) -> Iterator[Executor]:
-    """A scheduler and workers of this computer, as processes."""
+    """Start a Dask scheduler and workers on this computer, as processes."""
     from pgf_jax.parallel.dask_executor import DaskExecutor
 
     address = "tcp://127.0.0.1:18786"
-    words = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "18786"]
-    commands = [[sys.executable, *words, "--no-dashboard"]]
-    words = ["-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard"]
-    commands += [[sys.executable, *words, "--nworkers", str(workers)]]
+    options = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "18786"]
+    commands = [[sys.executable, *options, "--no-dashboard"]]
+    options = ["-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard"]
+    commands += [[sys.executable, *options, "--nworkers", str(workers)]]
     with ExitStack() as stack:
         for command in commands:
             process = subprocess.Popen(
@@ -83,14 +83,15 @@ def dask(workers: int, folder: Path) -> Iterator[Executor]:
 
 @dataclasses.dataclass(frozen=True)
 class Timed:
-    """One sweep.
+    """Times of one sweep.
 
     Attributes:
-      cells, steps: how many; iterations that were computed.
-      wall_s: until the cells were there, s.
-      busy_s: of the processes, in batches, s.
-      answering_s: of it, on what robots and operators asked for, compilation included, s.
-      engine_s: of it, in calls of the engine, the planner and the networks, s.
+      cells: number of cells.
+      steps: number of iterations computed.
+      wall_s: time until the cells were on the disk, s.
+      busy_s: time of the processes in batches, without compilation, s.
+      answering_s: part of it for the requests of robots and operators, s.
+      engine_s: part of that in calls of the engine, the planner and the networks, s.
     """
 
     cells: int
@@ -102,7 +103,7 @@ class Timed:
 
 
 def run(options: Options, executor: Executor, folder: Path) -> Timed:
-    """The sweep, once."""
+    """Compute the sweep once."""
     shutil.rmtree(folder, ignore_errors=True)
     seeds = -(-options.cells // len(POLICIES))
     configs = [
@@ -145,7 +146,7 @@ def main(options: Options) -> None:
         for turn in range(options.rounds + 1):
             for way, executor in opened.items():
                 timed = run(options, executor, folder / "out")
-                if turn:  # the first one compiles
+                if turn:  # the first turn compiles
                     times[way].append(timed)
                     console.print(
                         f"{way}: {timed.cells} cells, {timed.steps} iterations, "

@@ -1,7 +1,7 @@
-"""The door: who may connect, and how much they may say.
+"""Access control: which clients may connect, and how many messages of which types they may send.
 
-viser serves page and websocket on one port and has no notion of access, so the server that it
-starts is wrapped: every request, the websocket's own included, is checked before viser sees it.
+viser serves the page and the websocket on one port and has no access control. So the server that
+viser starts is wrapped: every request, that of the websocket too, is checked before viser sees it.
 """
 
 import asyncio
@@ -27,22 +27,23 @@ from websockets.http11 import Request, Response
 log = logging.getLogger(__name__)
 
 COOKIE = "pgf_jax_token"
-MESSAGES_PER_S = 100.0  # of a client; more wait, and so does who sends them
-BURST = 400.0  # a page says much as it opens
+MESSAGES_PER_S = 100.0  # of a client; further messages are read later
+BURST = 400.0  # messages; a page sends many when it opens
 LARGEST = 1 << 20  # bytes of a message
-# What a page says. A client could say more to viser, such as to open a public tunnel.
+# Types of the messages that a page sends. viser accepts others, such as one that opens a public
+# tunnel to this computer.
 ALLOWED = frozenset(
     {"ViewerCameraMessage", "ScenePointerMessage", "GuiUpdateMessage", "CommandTriggerMessage"}
 )
 
 
 class Bucket:
-    """So many things a second, with bursts.
+    """A token bucket: limits the rate of a client's actions, but allows bursts.
 
     Args:
-      rate: things a second.
-      burst: at once.
-      clock: time in s.
+      rate: actions per second.
+      burst: actions at once.
+      clock: returns the time, s.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class Bucket:
         self._left, self._at = burst, clock()
 
     def take(self) -> float:
-        """One thing; how long it is too early, s: 0 if it is not."""
+        """Count one action; returns how much too early it is, s, or 0."""
         now = self._clock()
         self._left = min(self._burst, self._left + (now - self._at) * self._rate)
         self._at = now
@@ -60,7 +61,7 @@ class Bucket:
         return max(0.0, -self._left / self._rate)
 
     def allows(self) -> bool:
-        """Whether one more thing is not too early; counted only if so."""
+        """Whether one more action is allowed now; it is counted if it is allowed."""
         if self.take() == 0.0:
             return True
         self._left += 1
@@ -68,30 +69,33 @@ class Bucket:
 
 
 class AccessControl:
-    """Checks connections.
+    """Checks the requests of clients that want to connect.
 
     Args:
-      needs_token: whether a token is asked for; it is drawn here.
+      needs_token: whether clients need a token; it is drawn at random here.
 
     Attributes:
-      token: to be shown to whoever may connect; None: none is needed.
+      token: that clients need; None: no token is needed.
     """
 
     def __init__(self, *, needs_token: bool) -> None:
         self.token = secrets.token_urlsafe(24) if needs_token else None
 
     def check(self, host: str, request: Request) -> Response | None:
-        """Look at a request; what to answer instead of serving it, or None: it may pass.
+        """Check a request.
 
         Args:
-          host: address that it comes from.
-          request: its head.
+          host: address of the client.
+          request: its headers and path.
+
+        Returns:
+          The response to send in place of the page; None: the request is allowed.
         """
         headers = request.headers
         name = _hostname(headers.get("Host", ""))
         origin = headers.get("Origin")
         if self.token is None and not _is_loopback(name):
-            # A page elsewhere whose name has been made to point here.
+            # Against DNS rebinding: the name of a foreign page may point to this computer.
             return self._refuse(host, f"the name {name!r} is not this computer's")
         if origin is not None and urlsplit(origin).netloc != headers.get("Host"):
             return self._refuse(host, f"a page of {origin!r}")
@@ -124,7 +128,7 @@ class AccessControl:
 
     @contextlib.contextmanager
     def guard(self) -> Iterator[None]:
-        """Servers that viser starts in here have this door."""
+        """Servers that viser starts in this context check their requests and messages."""
         serve = websockets.asyncio.server.serve
 
         def guarded(handler: Callable, *arguments: Any, **options: Any) -> Any:
@@ -135,7 +139,7 @@ class AccessControl:
                 return inner(connection, request) if refusal is None else refusal
 
             return serve(
-                _patient(handler),
+                _limited(handler),
                 *arguments,
                 process_request=process_request,
                 **(options | {"max_size": LARGEST}),
@@ -148,18 +152,18 @@ class AccessControl:
             websockets.asyncio.server.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def _patient(
+def _limited(
     handler: Callable[[ServerConnection], Awaitable[None]],
 ) -> Callable[[ServerConnection], Awaitable[None]]:
-    """A connection's handler that reads no faster than it may, and survives what it cannot read."""
+    """A handler that reads at a limited rate, and refuses messages that are not allowed."""
 
     async def handle(connection: ServerConnection) -> None:
         bucket, receive = Bucket(MESSAGES_PER_S, BURST), connection.recv
-        told: set[str] = set()
+        warned: set[str] = set()
 
-        def tell(what: str) -> None:
-            if what not in told:
-                told.add(what)
+        def warn(what: str) -> None:
+            if what not in warned:
+                warned.add(what)
                 log.warning("client at %s %s", _host(connection), what)
 
         async def recv() -> bytes:
@@ -167,12 +171,12 @@ def _patient(
                 message = await receive()
                 early_s = bucket.take()
                 if early_s > 0:
-                    tell("sends too much: slowed")
+                    warn("sends too many messages: slowed")
                     await asyncio.sleep(early_s)
                 kind = _kind(message)
                 if kind in ALLOWED:
                     return message  # pyright: ignore[reportReturnType]
-                tell(f"may not say {kind!r}: refused")
+                warn(f"may not send {kind!r}: refused")
 
         connection.recv = recv  # pyright: ignore[reportAttributeAccessIssue]
         try:
@@ -180,19 +184,19 @@ def _patient(
         except ConnectionClosed:
             pass
         except Exception as error:
-            tell(f"sent a malformed message ({type(error).__name__}): closed")
+            warn(f"sent a malformed message ({type(error).__name__}): closed")
             await connection.close(1003, "malformed message")
 
     return handle
 
 
 def _kind(message: Any) -> str:
-    """What a message is, by the word in it that viser goes by; ValueError if it is none."""
+    """Type of a message, from the field that viser reads; ValueError if it is malformed."""
     if not isinstance(message, bytes):
-        raise ValueError("text, where bytes were expected")
+        raise ValueError("expected bytes, got text")
     content = msgspec.msgpack.decode(message)
     if not isinstance(content, dict) or not isinstance(content.get("type"), str):
-        raise ValueError("no message of a page")
+        raise ValueError("not a message of a page")
     return content["type"][:60]
 
 
@@ -202,7 +206,7 @@ def _host(connection: ServerConnection) -> str:
 
 
 def _hostname(host: str) -> str:
-    """Of a `Host` header, its port left out."""
+    """Name of a `Host` header, without its port."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:

@@ -1,4 +1,4 @@
-"""The wall in viser: a handful of batched handles, sent again only where something has changed."""
+"""Draws the fleet in viser with a few batched handles; only arrays that changed are sent again."""
 
 from typing import Any
 
@@ -15,30 +15,30 @@ from pgf_jax.scene.scene import RADIUS
 _SMALL, _LARGE = 8, 24  # sides of a disk: there are many small ones
 _SQUARE = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
 _HALVES = np.array([[0, 1, 2], [0, 2, 3]])
-_PAD = 32  # lines are sent in multiples of it: their buffers are seldom made anew
-CAPTION_HEIGHT, SMALLEST = 0.062, 0.125  # m of a shelf; units
-_AWAY = -100.0  # in all three directions: out of sight
-_GHOST, _REFUSED = (31, 119, 220), (214, 39, 40)
+_PAD = 32  # lines are sent in multiples of it, so that their buffers are seldom made again
+CAPTION_HEIGHT, SMALLEST = 0.062, 0.125  # of text: m on the scale of a shelf; at least, units
+_AWAY = -100.0  # coordinate, in all three directions, of what is out of sight
+_PICKED, _REFUSED = (31, 119, 220), (214, 39, 40)
 
 
 class Drawing:
-    """Draws frames.
+    """Draws frames in the scene that all clients see.
 
     Args:
-      scene: viser's, of all clients.
+      scene: of viser.
       robots, n_objects: R and N.
     """
 
     def __init__(self, scene: viser.SceneApi, robots: int, n_objects: int) -> None:
         self._scene = scene
         scene.configure_default_lights(enabled=False)
-        scene.add_light_ambient("/light", intensity=np.pi)  # colours are as they were given
+        scene.add_light_ambient("/light", intensity=np.pi)  # shows colours as given
         self._sent: dict[tuple[str, str], np.ndarray] = {}
         cells = robots + 1
         self._meshes = {
             "rims": self._mesh("rims", *_disk(_LARGE), n_objects * cells),
             "objects": self._mesh("objects", *_disk(_LARGE), n_objects * cells),
-            "specks": self._mesh("specks", *_disk(_SMALL), n_objects * cells),
+            "small_objects": self._mesh("small_objects", *_disk(_SMALL), n_objects * cells),
             "hands": self._mesh("hands", _SQUARE, _HALVES, hand.N_CAPSULES * cells),
         }
         self._lines = {
@@ -52,11 +52,11 @@ class Drawing:
                 ("paths", (31, 78, 156), 2),
                 ("drags", (190, 110, 60), 2),
                 ("pushes", (240, 120, 30), 3),
-                ("arrow", _GHOST, 3),
+                ("arrow", _PICKED, 3),
                 ("numbers", (20, 20, 20), 1),
             )
         }
-        self._ghost = self._mesh("ghost", *_disk(_LARGE), 1, opacity=0.55)
+        self._picked = self._mesh("picked", *_disk(_LARGE), 1, opacity=0.55)
         self._captions = [self._label(f"caption/{i}", "top-left") for i in range(robots)]
         self._title = self._label("title", "top-left")
         self._costs = [
@@ -64,11 +64,11 @@ class Drawing:
         ]
 
     def show(self, frame: Frame, layout: Layout) -> None:
-        """Draw a frame; to be called within the server's `atomic`."""
-        pairs = fleet_view.shown(frame.fleet, layout)
+        """Draw a frame; call it within the server's `atomic`."""
+        pairs = fleet_view.visible_cells(frame.fleet, layout)
         picked = frame.picked
         parts = fleet_view.objects(pairs, None if picked is None else picked.object)
-        for name, disks in zip(("objects", "rims", "specks"), parts, strict=True):
+        for name, disks in zip(("objects", "rims", "small_objects"), parts, strict=True):
             self._disks(name, disks)
         self._squares("hands", fleet_view.hands(pairs))
         curves, inputs, frames = fleet_view.curves(pairs)
@@ -78,7 +78,7 @@ class Drawing:
         self._put_lines("borders", borders, colors)
         lines |= {"paths": fleet_view.paths(pairs), "pushes": fleet_view.pushes(pairs)}
         lines |= {"drags": fleet_view.drags(pairs), "numbers": fleet_view.numbers(pairs)}
-        lines["arrow"] = self._show_ghost(frame, layout)
+        lines["arrow"] = self._show_picked(frame, layout)
         for name, points in lines.items():
             self._put_lines(name, points)
         self._show_captions(frame, layout)
@@ -86,11 +86,11 @@ class Drawing:
 
     # -- parts ----------------------------------------------------------------------------------
 
-    def _show_ghost(self, frame: Frame, layout: Layout) -> np.ndarray:
-        """The push that is being picked, as a ghost; [M, 2, 3] its arrow."""
+    def _show_picked(self, frame: Frame, layout: Layout) -> np.ndarray:
+        """Draw the picked object transparent at its target; returns its arrow, [M, 2, 3]."""
         picked, cell = frame.picked, layout.large
         centers, radii = np.full((1, 3), _AWAY), np.ones(1)
-        color = np.array([_REFUSED if picked is not None and picked.problem else _GHOST])
+        color = np.array([_REFUSED if picked is not None and picked.problem else _PICKED])
         arrow = np.empty((0, 2, 3))
         if picked is not None and cell is not None and picked.object is not None and picked.target:
             robot = frame.fleet.robots[picked.robot]
@@ -98,7 +98,7 @@ class Drawing:
             centers = np.array([[*ends[1], 0.06]])
             radii = np.array([cell.scale * RADIUS])
             arrow = np.concatenate([ends, [[0.065], [0.065]]], 1)[None]
-        self._put(self._ghost, "ghost", centers, np.tile(radii[:, None], (1, 3)), color)
+        self._put(self._picked, "picked", centers, np.tile(radii[:, None], (1, 3)), color)
         return arrow
 
     def _show_captions(self, frame: Frame, layout: Layout) -> None:
@@ -123,11 +123,11 @@ class Drawing:
             place = (low[0] - 0.06, fleet_view.cost_height(cell, cost))
             self._write(handle, f"{cost:.0f}", place, 0.16)
         iterations = max(0, len(robot.costs) - 1)
-        words = fleet_view.caption(robot).replace("\n", "   ")
-        text = f"Robot {words}\n{robot.scene}, {iterations} iterations, cost:"
+        caption = fleet_view.caption(robot).replace("\n", "   ")
+        text = f"Robot {caption}\n{robot.scene}, {iterations} iterations, cost:"
         self._write(self._title, text, (low[0] - 0.35, high[1] + 0.75), 0.2)
 
-    # -- handles, sent again where they change --------------------------------------------------
+    # -- handles, sent again when they change ---------------------------------------------------
 
     def _mesh(
         self,
@@ -224,7 +224,7 @@ class Drawing:
 
 
 def _disk(sides: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces of a disk of radius 1."""
+    """Vertices and faces of a disk with radius 1."""
     turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     corners = np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
     fan = np.array([[0, 1 + i, 1 + (i + 1) % sides] for i in range(sides)])
@@ -232,12 +232,12 @@ def _disk(sides: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _linear(colors: np.ndarray) -> np.ndarray:
-    """[..., 3] colours as on a screen (sRGB, 0..255) -> as viser has those of instances."""
+    """Convert [..., 3] sRGB colours (0..255) to linear ones, which viser wants for instances."""
     return np.round(255 * (np.asarray(colors) / 255) ** 2.2)
 
 
 def _padded(rows: np.ndarray, count: int, value: float) -> np.ndarray:
-    """[M, ...] -> [count, ...], filled up with `value`."""
-    assert len(rows) <= count, f"{len(rows)} to be drawn where there is room for {count}"
+    """Pad [M, ...] with `value` to [count, ...]."""
+    assert len(rows) <= count, f"{len(rows)} rows, but room for {count}"
     rest = np.full((count - len(rows), *rows.shape[1:]), value)
     return np.concatenate([np.asarray(rows, float), rest])

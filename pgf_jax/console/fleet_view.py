@@ -1,4 +1,4 @@
-"""The wall: the arrays that draw the fleet where `layout.py` says. NumPy only."""
+"""The arrays that draw a fleet, at the places given by `layout.py`; uses NumPy only."""
 
 import dataclasses
 import math
@@ -18,25 +18,16 @@ from pgf_jax.console.layout import (
 )
 from pgf_jax.fleet.records import State
 from pgf_jax.physics import hand
-from pgf_jax.planning.types import Status
 from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
 from pgf_jax.simulation.snapshot import FleetSnapshot, RobotSnapshot
 
-CAPTION_V = 1.09  # top of the caption, in a cell
-DETAILED = 3.0  # scale from which on rims and fingers can be told apart
-_OUTLINE = np.array([0, 1, 2, 5, 7, 11, 13])  # base, wrist, palm, couplers, fingers' backs
-MOVED = 0.002  # m, from which on an object is seen to move
+CAPTION_V = 1.09  # top of the caption in a cell, m on the scale of its shelf
+DETAILED = 3.0  # smallest scale, units per metre, at which rims and fingers can be seen
+_OUTLINE = np.array([0, 1, 2, 5, 7, 11, 13])  # base, wrist, palm, couplers, backs of the fingers
+MOVED = 0.002  # m, smallest displacement of an object that is drawn
 COSTS = (1.0, 10.0, 100.0, 1000.0)  # marked in a large curve
-_COST_SPAN = math.log10(1 + 4000.0)
+_COST_SPAN = math.log10(1 + 4000.0)  # of the curve's axis, log10(1 + cost)
 
-WORDS = {
-    State.IDLE: "done",
-    State.PLANNING: "plans",
-    State.IN_WINDOW: "bids",
-    State.IN_LINE: "in line",
-    State.SERVED: "asks",
-    State.EXECUTING: "reaches",
-}
 BORDERS = {
     State.IDLE: (170, 170, 170),
     State.PLANNING: (150, 170, 205),
@@ -68,8 +59,8 @@ class Disks:
     colors: np.ndarray
 
 
-def shown(fleet: FleetSnapshot, layout: Layout) -> list[tuple[Cell, RobotSnapshot]]:
-    """The cells to draw; the served robot has two."""
+def visible_cells(fleet: FleetSnapshot, layout: Layout) -> list[tuple[Cell, RobotSnapshot]]:
+    """The cells to draw, with their robots; the served robot has two."""
     pairs = list(zip(layout.cells, fleet.robots, strict=False))
     if layout.large is not None and layout.served is not None:
         pairs += [(layout.large, robot) for robot in fleet.robots if robot.robot == layout.served]
@@ -77,7 +68,7 @@ def shown(fleet: FleetSnapshot, layout: Layout) -> list[tuple[Cell, RobotSnapsho
 
 
 def borders(pairs: list[tuple[Cell, RobotSnapshot]]) -> tuple[np.ndarray, np.ndarray]:
-    """[M, 2, 3] the cells' borders, and [M, 2, 3] their colours: what each robot does."""
+    """Borders of the cells [M, 2, 3], and their colours [M, 2, 3], by the state of each robot."""
     lines, colors = [np.empty((0, 2, 3))], [np.empty((0, 2, 3))]
     for cell, robot in pairs:
         low, high = (CURVE_V[1], LARGE_TOP) if cell.large else (0.0, CELL_HEIGHT)
@@ -89,7 +80,7 @@ def borders(pairs: list[tuple[Cell, RobotSnapshot]]) -> tuple[np.ndarray, np.nda
 
 
 def walls(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
-    """[M, 2, 3] the shelves' walls."""
+    """Walls of the shelves, [M, 2, 3]."""
     parts = [np.empty((0, 2, 3))]
     corners = np.array(
         [
@@ -106,9 +97,10 @@ def walls(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
 def objects(
     pairs: list[tuple[Cell, RobotSnapshot]], chosen: int | None
 ) -> tuple[Disks, Disks, Disks]:
-    """The objects of shelves that are large enough for rims, these rims, and the other objects.
+    """Objects as disks; on the large shelf the object `chosen` is marked.
 
-    `chosen` is marked on the large shelf.
+    Returns:
+      The objects of cells that are large enough for rims; their rims; the objects of other cells.
     """
     centers, radii, colors, detailed = [], [], [], []
     for cell, robot in pairs:
@@ -137,14 +129,11 @@ def objects(
 
 
 def hands(pairs: list[tuple[Cell, RobotSnapshot]]) -> Squares:
-    """The hands: each capsule as a rectangle of its width; the largest ones on small shelves."""
+    """Hands, each capsule as a rectangle; in small cells only the largest capsules."""
     centers, angles, sizes = [], [], []
     for cell, robot in pairs:
         capsules = np.arange(hand.N_CAPSULES) if cell.scale >= DETAILED else _OUTLINE
-        # [C, 2, 2] in the hand's frame
-        ends = hand.capsule_segments(np.float64(robot.gripper))[capsules]
-        c, s = np.cos(robot.hand[2]), np.sin(robot.hand[2])
-        ends = cell.place(ends @ np.array([[c, s], [-s, c]]) + robot.hand[:2])
+        ends = cell.place(robot.hand_axes()[capsules])  # [C, 2, 2]
         along = ends[:, 1] - ends[:, 0]
         centers.append(ends.mean(1))
         angles.append(np.arctan2(along[:, 1], along[:, 0]))
@@ -161,24 +150,16 @@ def hands(pairs: list[tuple[Cell, RobotSnapshot]]) -> Squares:
 
 
 def paths(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
-    """[M, 2, 3] where the end-effector goes on the best trajectories so far."""
+    """Paths of the end-effector point on the best trajectories so far, [M, 2, 3]."""
     parts = [np.empty((0, 2, 3))]
     for cell, robot in pairs:
         if len(robot.path) > 1:
-            c, s = np.cos(robot.path[:, 2]), np.sin(robot.path[:, 2])
-            turned = np.stack(
-                [
-                    c * hand.EE_POINT[0] - s * hand.EE_POINT[1],
-                    s * hand.EE_POINT[0] + c * hand.EE_POINT[1],
-                ],
-                -1,
-            )
-            parts.append(_chain(cell.place(robot.path[:, :2] + turned), 0.05))
+            parts.append(_chain(cell.place(robot.end_effector_path()), 0.05))
     return np.concatenate(parts)
 
 
 def drags(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
-    """[M, 2, 3] on a large shelf: where the best trajectory so far would take the objects."""
+    """Displacements of objects by the best trajectory so far, on a large shelf, [M, 2, 3]."""
     parts = [np.empty((0, 2, 3))]
     for cell, robot in pairs:
         if cell.large and len(robot.ends):
@@ -189,7 +170,7 @@ def drags(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
 
 
 def pushes(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
-    """[M, 2, 3] from each object that is to be pushed to where it is to come."""
+    """Lines from each object that is being pushed to its target, [M, 2, 3]."""
     parts = [np.empty((0, 2, 3))]
     for cell, robot in pairs:
         if robot.push is not None:
@@ -199,7 +180,7 @@ def pushes(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
 
 
 def curves(pairs: list[tuple[Cell, RobotSnapshot]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """[M, 2, 3] each: the cost curves, when inputs were given, and the curves' frames."""
+    """Cost curves, marks of the inputs, and frames of the curves, each [M, 2, 3]."""
     lines, inputs, frames = ([np.empty((0, 2, 3))] for _ in range(3))
     for cell, robot in pairs:
         low, high = curve_box(cell)
@@ -222,7 +203,7 @@ def curves(pairs: list[tuple[Cell, RobotSnapshot]]) -> tuple[np.ndarray, np.ndar
 
 
 def curve_box(cell: Cell) -> tuple[np.ndarray, np.ndarray]:
-    """Lower left and upper right corner of a cell's curve, units."""
+    """Lower left and upper right corner of the curve of a cell, units."""
     if cell.large:
         low = np.array([WIDTH - LARGE_CURVE[0] + 0.45, cell.y + cell.scale * SHELF_V])
         return low, low + np.array([LARGE_CURVE[0] - 0.6, LARGE_CURVE[1]])
@@ -234,12 +215,12 @@ def curve_box(cell: Cell) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cost_height(cell: Cell, cost: float) -> float:
-    """Where a cost is in a curve, units."""
+    """Height of a cost in the curve of a cell, units."""
     low, high = curve_box(cell)
     return float(low[1] + (high[1] - low[1]) * math.log10(1 + cost) / _COST_SPAN)
 
 
-# Strokes on a grid of 2 x 4, (column, row from below); a label of viser's would cover its object.
+# Strokes on a grid of 2 x 4, (column, row from below). A label of viser would cover its object.
 _DIGITS = (
     ((0, 0), (2, 0), (2, 4), (0, 4), (0, 0)),
     ((0, 3), (1, 4), (1, 0)),
@@ -252,11 +233,11 @@ _DIGITS = (
     ((0, 2), (0, 0), (2, 0), (2, 4), (0, 4), (0, 2), (2, 2)),
     ((2, 2), (0, 2), (0, 4), (2, 4), (2, 0), (0, 0)),
 )
-_DIGIT_M = 0.0045  # of the grid's step, on the shelf
+_DIGIT_M = 0.0045  # step of the grid on the shelf, m
 
 
 def numbers(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
-    """[M, 2, 3] the numbers of the objects on a large shelf, from 1, as strokes."""
+    """Numbers of the objects on a large shelf, from 1, as strokes, [M, 2, 3]."""
     parts = [np.empty((0, 2, 3))]
     for cell, robot in pairs:
         if not cell.large:
@@ -272,24 +253,20 @@ def numbers(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
 
 
 def caption(robot: RobotSnapshot) -> str:
-    """What a robot does, and what it would gain from help."""
-    word = WORDS[robot.state]
-    if robot.push is not None and robot.state in (State.PLANNING, State.EXECUTING):
-        word = "plans push" if robot.state is State.PLANNING else "pushes"
-    solved = sum(status is Status.SOLVED for status in robot.done)
-    failed = len(robot.done) - solved
-    text = f"{robot.robot} {word}"
+    """Two lines on a robot: what it does; its bid or predicted gain, and how its tasks ended."""
+    text = f"{robot.robot} {robot.activity}"
     if robot.stuck and robot.state is State.PLANNING:
         text += ", stuck"
-    ended = f"{solved} solved" + (f", {failed} failed" if failed else "")
-    return f"{text}\n{bid_words(robot)}, {ended}"
+    failed = len(robot.done) - robot.solved
+    ended = f"{robot.solved} solved" + (f", {failed} failed" if failed else "")
+    return f"{text}\n{_worth(robot)}, {ended}"
 
 
-def bid_words(robot: RobotSnapshot) -> str:
-    """The bid, or the predicted gain."""
-    if robot.bid is not None:
-        return "bid stuck" if math.isinf(robot.bid) else f"bid {robot.bid:.0f}"
-    return "gain -" if math.isnan(robot.gain) else f"gain {robot.gain:.0f}"
+def _worth(robot: RobotSnapshot) -> str:
+    """The bid, or else the predicted gain."""
+    if robot.bid_text:
+        return f"bid {robot.bid_text}"
+    return f"gain {robot.gain:.0f}" if math.isfinite(robot.gain) else "gain -"
 
 
 def _at(points: np.ndarray, z: float) -> np.ndarray:
@@ -297,6 +274,6 @@ def _at(points: np.ndarray, z: float) -> np.ndarray:
 
 
 def _chain(points: np.ndarray, z: float) -> np.ndarray:
-    """[M, 2] points -> [M - 1, 2, 3] segments."""
+    """Segments [M - 1, 2, 3] from each of M points [M, 2] to the next."""
     points = _at(points, z)
     return np.stack([points[:-1], points[1:]], 1)

@@ -1,7 +1,7 @@
-"""The desk: who operates, and how a push is picked: object, point, confirmation.
+"""The input panel: which client operates, and the push picked so far: object, place, confirmation.
 
-It knows nothing of pages or threads: it is told what a client did, and answers with a word that is
-shown to them. What is refused changes nothing.
+The panel knows nothing of pages or threads. It is told what a client did, and returns the feedback
+for that client. An action that is refused changes nothing.
 """
 
 import dataclasses
@@ -13,19 +13,19 @@ from pgf_jax.guidance.view import View
 from pgf_jax.planning.types import NoInput, Push
 from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
 
-REACH = 1.25  # of an object's radius: how far beside it a click still means it
-CLEARANCE = 1e-3  # m, by which a target may overlap what it touches: nobody clicks so finely
-STEP = 0.01  # m, of a key
+REACH = 1.25  # radii around an object's centre within which a click picks it
+CLEARANCE = 1e-3  # m, by which a target may overlap a neighbour: nobody clicks more precisely
+STEP = 0.01  # m, by which a key moves the target
 
 
 @dataclasses.dataclass(frozen=True)
 class Feedback:
-    """What a client is told.
+    """The reply to a client's action.
 
     Attributes:
-      text: one line.
-      ok: False: refused.
-      answered: the service has its input.
+      text: one line for the client.
+      ok: False: the action was refused.
+      answered: the action gave the input of the service.
     """
 
     text: str
@@ -34,19 +34,19 @@ class Feedback:
 
 
 class InputPanel:
-    """One operator at a time, and what they have picked for the robot that they serve.
+    """The one client that operates, and the push that it has picked for the robot being served.
 
     Attributes:
-      operator: client who operates, None: nobody.
-      asked: the service under way, None: nobody is served.
+      operator: client that operates, None: nobody.
+      pending: the request that waits for its input, None: no robot is being served.
       object: picked object, or None.
       target: [2] picked place, m, or None.
-      problem: why the target cannot be meant, or "".
+      problem: why the target is not allowed, or "".
     """
 
     def __init__(self) -> None:
         self.operator: int | None = None
-        self.asked: InputRequest | None = None
+        self.pending: InputRequest | None = None
         self.object: int | None = None
         self.target: tuple[float, float] | None = None
         self.problem = ""
@@ -54,7 +54,7 @@ class InputPanel:
     # -- who operates ---------------------------------------------------------------------------
 
     def take(self, client: int) -> Feedback:
-        """A client wants to operate."""
+        """Make a client the operator, unless another client operates."""
         if self.operator == client:
             return Feedback("You operate already.")
         if self.operator is not None:
@@ -63,7 +63,7 @@ class InputPanel:
         return Feedback("You operate.")
 
     def leave(self, client: int) -> bool:
-        """A client has gone; whether it was the operator. What they had picked is kept."""
+        """Remove a client; returns whether it operated. What it had picked is kept."""
         if self.operator != client:
             return False
         self.operator = None
@@ -71,43 +71,44 @@ class InputPanel:
 
     # -- services -------------------------------------------------------------------------------
 
-    def open(self, asked: InputRequest) -> None:
-        """A robot is served from now on."""
-        self.asked = asked
+    def open(self, request: InputRequest) -> None:
+        """Begin the service of a request; nothing is picked yet."""
+        self.pending = request
         self._clear()
 
     def close(self) -> None:
-        """The service is over, by whatever."""
-        self.asked = None
+        """End the service without an input."""
+        self.pending = None
         self._clear()
 
     def answer(self, given: Push | NoInput | None) -> None:
-        """End the service with an input, or with none."""
-        assert self.asked is not None
-        asked = self.asked
+        """End the service with an input: a push, None (go on reaching) or UNANSWERED."""
+        assert self.pending is not None
+        request = self.pending
         self.close()
-        asked.answer(given)
+        request.answer(given)
 
     # -- what the operator does -----------------------------------------------------------------
 
     def click(self, client: int, robot: int | None, x: float, y: float) -> Feedback:
-        """A click at a place of a robot's shelf (None: beside all shelves), m.
+        """Handle a click at (x, y), m, on a robot's shelf; `robot` None: beside all shelves.
 
-        The first picks an object, the next the place it should come to; another one, another place.
+        The first click picks an object, the next one its target, and each further one another
+        target.
         """
         refusal = self._refusal(client)
         if refusal is not None:
             return refusal
-        assert self.asked is not None
+        assert self.pending is not None
         if robot is None:
             return Feedback("That is no shelf.", ok=False)
-        if robot != self.asked.robot:
-            return Feedback(f"Robot {self.asked.robot} asks, not robot {robot}.", ok=False)
+        if robot != self.pending.robot:
+            return Feedback(f"Robot {self.pending.robot} asks, not robot {robot}.", ok=False)
         if not (np.isfinite(x) and np.isfinite(y)):
             return Feedback("That is no place.", ok=False)
         if self.object is None:
-            return self._pick(_object_at(self.asked.view, x, y))
-        problem = target_problem(self.asked.view, self.object, x, y)
+            return self._pick(_object_at(self.pending.view, x, y))
+        problem = target_problem(self.pending.view, self.object, x, y)
         if problem:
             return Feedback(problem, ok=False)
         self.target, self.problem = (float(x), float(y)), ""
@@ -116,34 +117,34 @@ class InputPanel:
         )
 
     def next_object(self, client: int) -> Feedback:
-        """Pick the next object in the order of their distance from the hand, by keyboard."""
+        """Pick the next object by keyboard, in the order of distance from the hand."""
         refusal = self._refusal(client)
         if refusal is not None:
             return refusal
-        assert self.asked is not None
-        order = _from_the_hand(self.asked.view)
+        assert self.pending is not None
+        order = _from_the_hand(self.pending.view)
         place = -1 if self.object is None else order.index(self.object)
         return self._pick(order[(place + 1) % len(order)])
 
     def nudge(self, client: int, deeper: int, left: int) -> Feedback:
-        """Move the target by steps of `STEP`, by keyboard; it starts at the object."""
+        """Move the target by keyboard, in steps of `STEP`; it starts at the object."""
         refusal = self._refusal(client)
         if refusal is not None:
             return refusal
-        assert self.asked is not None
+        assert self.pending is not None
         if self.object is None:
             return Feedback("Pick an object first (Tab, or click it).", ok=False)
-        x, y = self.target or self.asked.view.objects[self.object]
+        x, y = self.target or self.pending.view.objects[self.object]
         x, y = float(x) + STEP * deeper, float(y) + STEP * left
         outside = _outside(x, y)
         if outside:
             return Feedback(outside, ok=False)
-        # On its way to its place it may cross what no push can end in.
-        self.target, self.problem = (x, y), target_problem(self.asked.view, self.object, x, y)
+        # On its way the target may cross places that are not allowed at the end.
+        self.target, self.problem = (x, y), target_problem(self.pending.view, self.object, x, y)
         return Feedback(self.problem or "Confirm with Enter.", ok=not self.problem)
 
     def undo(self, client: int) -> Feedback:
-        """Take back the last thing that was picked."""
+        """Take back the target, or else the object."""
         refusal = self._refusal(client)
         if refusal is not None:
             return refusal
@@ -156,7 +157,7 @@ class InputPanel:
         return Feedback("There is nothing to undo.", ok=False)
 
     def confirm(self, client: int) -> Feedback:
-        """Give the push that was picked."""
+        """Give the picked push as the input."""
         refusal = self._refusal(client)
         if refusal is not None:
             return refusal
@@ -172,7 +173,7 @@ class InputPanel:
         )
 
     def go_on(self, client: int) -> Feedback:
-        """Say "go on reaching"."""
+        """Give "go on reaching" as the input."""
         refusal = self._refusal(client)
         if refusal is not None:
             return refusal
@@ -185,7 +186,7 @@ class InputPanel:
         if client != self.operator:
             other = "Somebody else operates" if self.operator is not None else "Nobody operates"
             return Feedback(f"{other}; you watch.", ok=False)
-        if self.asked is None:
+        if self.pending is None:
             return Feedback("No robot is being served.", ok=False)
         return None
 
@@ -200,7 +201,7 @@ class InputPanel:
 
 
 def target_problem(view: View, pushed: int, x: float, y: float) -> str:
-    """Why an object cannot be meant to come to (x, y), m; empty if it can."""
+    """Why an object must not be pushed to (x, y), m; empty if it may."""
     outside = _outside(x, y)
     if outside:
         return outside
@@ -227,7 +228,7 @@ def _object_at(view: View, x: float, y: float) -> int | None:
 
 
 def _from_the_hand(view: View) -> list[int]:
-    """Objects by their distance from the hand; the goal last, as it is seldom in the way."""
+    """Objects in the order of distance from the hand; the goal last, as it is seldom in the way."""
     distance = np.hypot(*(view.objects - view.hand[:2]).T)
     distance[view.goal] = np.inf
     return [int(i) for i in np.argsort(distance, kind="stable")]

@@ -1,9 +1,9 @@
-"""Where every shelf is drawn: the page as a poster, and back from a click to a place on a shelf.
+"""The layout of the page: maps places on shelves to places on the drawing, and clicks back.
 
-The poster has `WIDTH` x `HEIGHT` units; the camera looks at it from straight ahead. Each robot has
-a cell: its shelf from above (x into the shelf points up, as the robot sees it), a caption over it,
-its cost curve under it. While a robot is served, its shelf is drawn once more, large, with the wall
-as a strip below.
+The drawing is a plane of `WIDTH` x `HEIGHT` units; the camera looks at it from straight ahead. Each
+robot has a cell: its shelf from above (x into the shelf points up, as the robot sees it), a caption
+above and its cost curve below. While a robot is served, its shelf is drawn once more, large, above
+the cells.
 """
 
 import dataclasses
@@ -11,24 +11,24 @@ import dataclasses
 import numpy as np
 
 WIDTH, HEIGHT = 12.0, 10.0
-STRIP = 3.1  # height of the wall while a shelf is shown large
-# A cell, in metres of its shelf: captions and curve are as large as they would be on it.
+STRIP = 3.1  # height of the grid of cells while a shelf is drawn large
+# The parts of a cell, in metres on the scale of its shelf.
 CELL_WIDTH, CELL_HEIGHT = 0.90, 1.10
-SHELF_V = 0.25  # of x = 0 over the cell's lower edge
-CURVE_V = (0.02, 0.17)  # the curve's strip
-LARGE_TOP = 0.89  # a large shelf's cell goes from over the curve to under the caption
+SHELF_V = 0.25  # height of x = 0 above the cell's lower edge
+CURVE_V = (0.02, 0.17)  # lower and upper edge of the curve
+LARGE_TOP = 0.89  # upper edge of a large cell, which has neither curve nor caption in it
 LARGE_CURVE = (4.1, 2.6)  # width and height beside a large shelf, units
 GAP = 0.15
 
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """Where a shelf is drawn.
+    """The place where one shelf is drawn.
 
     Attributes:
       x, y: its lower left corner, units.
-      scale: units a metre.
-      large: drawn with numbers on the objects and its curve beside it.
+      scale: units per metre.
+      large: whether objects have numbers, and the curve is beside the shelf.
     """
 
     x: float
@@ -37,30 +37,30 @@ class Cell:
     large: bool = False
 
     def place(self, points: np.ndarray) -> np.ndarray:
-        """[..., 2] (x, y) on the shelf, m -> the same on the poster, units."""
+        """Map places on the shelf to the drawing: [..., 2] m -> [..., 2] units."""
         points = np.asarray(points, float)
         u, v = CELL_WIDTH / 2 - points[..., 1], SHELF_V + points[..., 0]
         return np.stack([self.x + self.scale * u, self.y + self.scale * v], -1)
 
     def shelf(self, x: float, y: float) -> tuple[float, float]:
-        """A place on the poster, units -> on the shelf, m."""
+        """Map a place on the drawing (units) to the shelf: (x, y), m."""
         u, v = (x - self.x) / self.scale, (y - self.y) / self.scale
         return v - SHELF_V, CELL_WIDTH / 2 - u
 
     def contains(self, x: float, y: float) -> bool:
-        """Whether a place on the poster is in this cell."""
+        """Whether a place on the drawing (units) is in this cell."""
         inside_x = self.x <= x <= self.x + self.scale * CELL_WIDTH
         return inside_x and 0 <= (y - self.y) / self.scale <= CELL_HEIGHT
 
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """Where all shelves are drawn.
+    """The places where all shelves are drawn.
 
     Attributes:
-      cells: of each robot; empty where only one is shown, large.
-      large: of the robot that is served, or of the only one.
-      served: that robot, or None.
+      cells: of each robot; empty for a single robot, which is drawn large only.
+      large: cell of the robot that is served, or of the single robot.
+      served: index of that robot, or None.
     """
 
     cells: tuple[Cell, ...]
@@ -69,7 +69,7 @@ class Layout:
 
     @classmethod
     def of(cls, robots: int, served: int | None) -> "Layout":
-        """The layout of a fleet of so many robots."""
+        """The layout of `robots` shelves, one of them large while it is served."""
         if robots == 1:
             return cls((), _large(0.0), 0)
         if served is None:
@@ -77,7 +77,7 @@ class Layout:
         return cls(_grid(robots, STRIP), _large(STRIP), served)
 
     def find(self, x: float, y: float) -> tuple[int | None, float, float]:
-        """What is at a place on the poster: robot or None, and where on its shelf, m."""
+        """Find the shelf at a place on the drawing: robot or None, and (x, y) on its shelf, m."""
         if self.large is not None and self.large.contains(x, y):
             return self.served, *self.large.shelf(x, y)
         for robot, cell in enumerate(self.cells):
@@ -87,7 +87,7 @@ class Layout:
 
 
 def _grid(robots: int, height: float) -> tuple[Cell, ...]:
-    """As large as they can be, row by row from the top."""
+    """Cells in a grid, as large as possible, row by row from the top."""
 
     def scale(columns: int) -> float:
         rows = -(-robots // columns)

@@ -1,4 +1,4 @@
-"""`live`: the person at the desk, as an operator behind the interface of the simulated ones."""
+"""The operator `live`: passes the requests of robots on to a person at the console."""
 
 import dataclasses
 from collections.abc import Callable
@@ -12,12 +12,12 @@ from pgf_jax.simulation.recorded_operator import LIVE, Recording
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class InputRequest:
-    """A robot that is being served, and waits for its input.
+    """The request of a robot that is being served and waits for its input.
 
     Attributes:
-      robot, task, request: which service.
-      view: what there is to see.
-      answer: gives the input: a push, None: go on, or UNANSWERED; to be called once.
+      robot, task, request: identify the service.
+      view: of the robot.
+      answer: gives the input: a push, None (go on reaching) or UNANSWERED; must be called once.
     """
 
     robot: int
@@ -33,35 +33,35 @@ class InputRequest:
 
 
 class LiveOperator:
-    """Passes services on to a person; satisfies `ServiceTimes` and `Deliberate`.
+    """Passes requests on to a person; satisfies `ServiceTimes` and `RolloutOperator`.
 
     Args:
-      on_asked: called with each service as it begins.
-      recording: what was said before the server was killed; that comes first.
+      on_request: called with each request when its service begins.
+      recording: inputs of a resumed session, which are given first; None: a new session.
     """
 
     name = LIVE
 
     def __init__(
-        self, on_asked: Callable[[InputRequest], None], recording: Recording | None
+        self, on_request: Callable[[InputRequest], None], recording: Recording | None
     ) -> None:
-        self._on_asked, self._recording = on_asked, recording
+        self._on_request, self._recording = on_request, recording
 
     def seconds(self, robot: int, task: int, request: int) -> float | None:
-        """See `ServiceTimes.seconds`: nobody knows."""
+        """See `ServiceTimes.seconds`: None, except in a recording."""
         return self._recording and self._recording.seconds(robot, task, request)
 
     def deliberate(
-        self, view: View, search: Search, planner: BatchPlanner, at: DecisionKey
+        self, view: View, search: Search, planner: BatchPlanner, decision_key: DecisionKey
     ) -> Coroutine:
-        """See `Deliberate.deliberate`: what the person says, whenever they say it."""
-        _, robot, task, _ = at
+        """See `RolloutOperator.deliberate`: wait for the person's input."""
+        _, robot, task, _ = decision_key
         if self.seconds(robot, task, view.request) is not None:
             assert self._recording is not None
-            return (yield from self._recording.deliberate(view, search, planner, at))
+            return (yield from self._recording.deliberate(view, search, planner, decision_key))
 
         def ask(answer: Callable[[Push | NoInput | None], None]) -> None:
-            self._on_asked(InputRequest(robot, task, view.request, view, answer))
+            self._on_request(InputRequest(robot, task, view.request, view, answer))
 
         (given,) = yield [External(ask)]
         return given

@@ -1,4 +1,7 @@
-"""The page: the wall, the operator's panel, and what clients do on them. viser is met here only."""
+"""The page in the browser: shows the fleet and the input panel, and handles what clients do.
+
+Only this module and `drawing.py` use viser.
+"""
 
 import contextlib
 import io
@@ -18,13 +21,13 @@ from pgf_jax.console.input_panel import Feedback, InputPanel
 from pgf_jax.console.layout import Layout
 from pgf_jax.console.session import Frame, Session
 from pgf_jax.errors import BadInput
-from pgf_jax.planning.types import Status
+from pgf_jax.terminal import clock
 
 log = logging.getLogger(__name__)
 
-MARGIN = 1.02  # around the poster
-FOV = 0.35  # rad: a long lens, which shows the poster flat
-ACTS_PER_S, ACTS_AT_ONCE = 10.0, 20.0  # of a client; nobody is that fast
+MARGIN = 1.02  # size of the visible plane over that of the drawing
+FOV = 0.35  # rad; narrow, so that the drawing has little perspective
+ACTIONS_PER_S, ACTIONS_AT_ONCE = 10.0, 20.0  # of a client; no person is so fast
 HELP = """\
 Blue: the best trajectory so far; brown: where it would take the objects. It fails: what would help?
 
@@ -36,13 +39,13 @@ O operate, V view from the front.
 
 
 class Page:
-    """What browsers see and do.
+    """The page of a session: a server for browsers.
 
     Args:
       host, port: to listen on.
-      door: who may connect.
+      access: decides which clients may connect.
       robots, n_objects: R and N.
-      live: whether there is a desk to sit at.
+      live: whether a person gives the inputs.
 
     Raises:
       BadInput: the port is not free.
@@ -66,7 +69,7 @@ class Page:
         self._robots, self._live = robots, live
         self._session: Session | None = None
         self._layout = Layout.of(robots, None)
-        self._roles: dict[int, viser.GuiMarkdownHandle] = {}  # what a client is told they may do
+        self._roles: dict[int, viser.GuiMarkdownHandle] = {}  # of each client: whether it operates
         self._buckets: dict[int, Bucket] = {}
         self._flooding: set[int] = set()
         self._lock = threading.Lock()
@@ -82,28 +85,28 @@ class Page:
         ):
             setattr(server.initial_camera, name, value)
         self._status = server.gui.add_markdown("Starting ...")
-        self._word = server.gui.add_markdown("")
+        self._feedback = server.gui.add_markdown("")
         self._make_controls()
-        # viser takes coroutines everywhere, but does not say so here.
+        # viser takes coroutines here too, but its types do not say so.
         server.scene.on_click()(self._on_click)  # pyright: ignore[reportArgumentType]
         server.on_client_connect(self._on_connect)
         server.on_client_disconnect(self._on_disconnect)
 
     @property
     def url(self) -> str:
-        """Where it is served, token not included."""
+        """Address of the page, without the token."""
         host = self.server.get_host()
         shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, host)
         return f"http://{shown}:{self.server.get_port()}/"
 
     def open(self, session: Session) -> None:
-        """Let clients act on a session."""
+        """Connect the page to a session, and offer each client to operate."""
         self._session = session
         for client in self.server.get_clients().values():
-            self._seat(client)
+            self._offer_to_operate(client)
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop the server."""
         with _quiet():
             self.server.stop()
 
@@ -112,14 +115,14 @@ class Page:
     def show(self, frame: Frame) -> None:
         """Show a frame to all clients."""
         served = frame.fleet.serving if frame.picked is None else frame.picked.robot
-        shown = Layout.of(self._robots, served)
+        layout_now = Layout.of(self._robots, served)
         with self.server.atomic():
-            self._drawing.show(frame, shown)
+            self._drawing.show(frame, layout_now)
             status = self._status_of(frame)
             if status != self._status.content:
                 self._status.content = status
             self._show_roles()
-        self._layout = shown
+        self._layout = layout_now
         self.server.flush()
 
     def _show_roles(self) -> None:
@@ -139,10 +142,6 @@ class Page:
 
     def _status_of(self, frame: Frame) -> str:
         fleet = frame.fleet
-        seconds = int(fleet.time_ns / 1e9)
-        statuses = [status for robot in fleet.robots for status in robot.done]
-        solved = statuses.count(Status.SOLVED)
-        total = fleet.tasks * self._robots
         if frame.over:
             head = "The session is over. Thank you."
         elif frame.picked is not None:
@@ -157,10 +156,8 @@ class Page:
         else:
             head = "Bids are collected" if fleet.window_open else "No robot asks"
         behind = f", {frame.behind_s:.0f} s behind" if frame.behind_s >= 1 else ""
-        return (
-            f"### {head}\n{seconds // 60}:{seconds % 60:02d}{behind} · {fleet.policy} · "
-            f"{len(statuses)} of {total} tasks done, {solved} solved"
-        )
+        time = clock(fleet.time_ns // 1_000_000_000)
+        return f"### {head}\n{time}{behind} · {fleet.policy} · {fleet.progress}"
 
     # -- what clients do ------------------------------------------------------------------------
 
@@ -203,7 +200,7 @@ class Page:
     async def _on_click(self, event: viser.SceneClickEvent) -> None:
         if not self._live:
             return
-        place = _on_poster(event.ray_origin, event.ray_direction)
+        place = _on_drawing(event.ray_origin, event.ray_direction)
         client = event.client_id
         robot, x, y = (None, 0.0, 0.0) if place is None else self._layout.find(*place)
         self._act(client, lambda panel: panel.click(client, robot, x, y))
@@ -212,12 +209,12 @@ class Page:
         session = self._session
         if client is None or session is None or not self._may(client):
             return
-        session.act(client, do, lambda word: self._tell(client, word))
+        session.act(client, do, lambda feedback: self._tell(client, feedback))
 
     async def _on_take(self, event: Any) -> None:
         client, session = event.client_id, self._session
         if client is not None and session is not None and self._may(client):
-            session.take(client, lambda word: self._tell(client, word))
+            session.take(client, lambda feedback: self._tell(client, feedback))
 
     async def _on_view(self, event: Any) -> None:
         client = self.server.get_clients().get(event.client_id)
@@ -225,9 +222,9 @@ class Page:
             _look(client)
 
     def _may(self, client: int) -> bool:
-        """Whether a client does not act faster than anybody can."""
+        """Count an action of a client; False if the client acts faster than a person can."""
         with self._lock:
-            bucket = self._buckets.setdefault(client, Bucket(ACTS_PER_S, ACTS_AT_ONCE))
+            bucket = self._buckets.setdefault(client, Bucket(ACTIONS_PER_S, ACTIONS_AT_ONCE))
             allowed = bucket.allows()
             if not allowed and client not in self._flooding:
                 self._flooding.add(client)
@@ -236,33 +233,35 @@ class Page:
                 self._flooding.discard(client)
             return allowed
 
-    def _tell(self, client: int, word: Feedback) -> None:
-        """In the session's thread: what came of an act, to who did it."""
+    def _tell(self, client: int, feedback: Feedback) -> None:
+        """Show a client the feedback to its action; called in the session's thread."""
         session = self._session
         operates = session is not None and session.panel.operator == client
-        if not word.ok:
-            log.info("client %d refused: %s", client, word.text)
+        if not feedback.ok:
+            log.info("client %d refused: %s", client, feedback.text)
         if operates:
-            self._word.content = f"**{word.text}**" if word.ok else f"**Refused.** {word.text}"
+            text = feedback.text
+            self._feedback.content = f"**{text}**" if feedback.ok else f"**Refused.** {text}"
             self.server.flush()
             return
         handle = self.server.get_clients().get(client)
         if handle is not None:
-            handle.add_notification("", word.text, auto_close_seconds=4.0)
+            handle.add_notification("", feedback.text, auto_close_seconds=4.0)
             handle.flush()
 
-    # -- who is there ---------------------------------------------------------------------------
+    # -- clients that come and go ---------------------------------------------------------------
 
     async def _on_connect(self, client: viser.ClientHandle) -> None:
         log.info("client %d connected", client.client_id)
         _look(client)
         self._roles[client.client_id] = client.gui.add_markdown("")
-        self._seat(client)
+        self._offer_to_operate(client)
 
-    def _seat(self, client: viser.ClientHandle) -> None:
+    def _offer_to_operate(self, client: viser.ClientHandle) -> None:
+        """Make a client the operator, if nobody operates."""
         if self._live and self._session is not None:
             number = client.client_id
-            self._session.take(number, lambda word: self._tell(number, word))
+            self._session.take(number, lambda feedback: self._tell(number, feedback))
 
     async def _on_disconnect(self, client: viser.ClientHandle) -> None:
         log.info("client %d left", client.client_id)
@@ -275,24 +274,24 @@ class Page:
 
 
 def _quiet() -> contextlib.AbstractContextManager:
-    """Without the box in which viser says where it is: it knows of no token."""
+    """Suppress the address that viser prints, which lacks the token."""
     return contextlib.redirect_stdout(io.StringIO())
 
 
 def _look(client: viser.ClientHandle) -> None:
-    """Bring the whole poster into a client's view."""
+    """Move the camera of a client so that the whole drawing is visible."""
     client.camera.position = _eye(client.camera.aspect)
     client.camera.look_at = (layout.WIDTH / 2, layout.HEIGHT / 2, 0.0)
 
 
 def _eye(aspect: float) -> tuple[float, float, float]:
-    """Where the poster fills a canvas of that width over height."""
+    """Position of the camera from which the drawing fills a canvas; `aspect`: width over height."""
     high = max(layout.HEIGHT, layout.WIDTH / max(aspect, 0.1)) * MARGIN
     return layout.WIDTH / 2, layout.HEIGHT / 2, high / 2 / math.tan(FOV / 2)
 
 
-def _on_poster(origin: Any, direction: Any) -> tuple[float, float] | None:
-    """Where a ray meets the poster, units; None: nowhere."""
+def _on_drawing(origin: Any, direction: Any) -> tuple[float, float] | None:
+    """Place where a ray meets the plane of the drawing, units; None: nowhere."""
     origin, direction = np.asarray(origin, float), np.asarray(direction, float)
     if not (np.isfinite(origin).all() and np.isfinite(direction).all()) or direction[2] == 0:
         return None

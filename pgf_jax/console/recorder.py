@@ -1,66 +1,65 @@
-"""What a session leaves behind: its log as it goes, its tables at the end."""
+"""Records a session: its event log while it runs, its tables at the end."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from pgf_jax.files import json_bytes, write_atomically
-from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.metrics import CellSummary, summarise
 from pgf_jax.simulation.runner import FleetRunner
-from pgf_jax.sweeping.resolve import Setup
+from pgf_jax.sweeping.resolve import CellSpec
 from pgf_jax.sweeping.summary import csv, summary_frame
 from pgf_jax.tables.event_log import TABLE, Journal, write_log
-from pgf_jax.tables.results import parquet, tasks_frame
+from pgf_jax.tables.parquet import encode_table
+from pgf_jax.tables.results import tasks_frame
 
 
 class SessionRecorder:
-    """Writes a session down.
+    """Writes the files of a session.
 
     Args:
-      play: its fleet.
-      setup, cell: what it is of.
-      about: settings and identity.
-      journal: for its events as they happen.
-      written: events that are in it already.
+      runner: of the fleet.
+      cell: specification of the fleet.
+      about: settings, identity and environment.
+      journal: takes the events as they happen.
+      written: number of events that are in the journal already.
     """
 
     def __init__(
         self,
-        play: FleetRunner,
-        setup: Setup,
-        cell: Cell,
+        runner: FleetRunner,
+        cell: CellSpec,
         about: Mapping[str, Any],
         journal: Journal,
         written: int,
     ) -> None:
         self.folder = journal.path.parent
-        self._play, self._setup, self._cell, self._about = play, setup, cell, about
+        self._runner, self._cell, self._about = runner, cell, about
         self._journal, self._written = journal, written
 
     def write(self) -> None:
-        """Write what has happened since the last call; it is on the disk when this returns."""
-        events = self._play.fleet.events
+        """Write the events since the last call; they are on the disk when this returns."""
+        events = self._runner.fleet.events
         self._journal.append(events[self._written :])
         self._written = len(events)
 
     def close(self) -> CellSummary:
-        """Write the tables.
+        """Write the tables, and return the summary.
 
-        A fleet that is not done is cut off in them, at its clock, but not in the journal: the
-        session can be gone on with.
+        In the tables a fleet that is not done is cut off at its present time; in the journal it is
+        not, so that the session can be resumed.
         """
-        fleet = self._play.fleet
+        fleet = self._runner.fleet
         if not fleet.done:
             fleet.stop()
-            self._play.run_until()
+            self._runner.run_until()
         else:
             self.write()
         self._journal.close()
-        self._play.planned.finish()
-        summary = summarise(self._setup.config.fleet(self._cell), fleet.records, fleet.events)
-        tasks = tasks_frame(fleet.records, self._setup.scene_name)
+        self._runner.robots.finish()
+        summary = summarise(self._cell.fleet.config, fleet.records, fleet.events)
+        tasks = tasks_frame(fleet.records, self._cell.fleet.scenes.name)
         for name, data in {
-            "tasks.parquet": parquet(tasks),
+            "tasks.parquet": encode_table(tasks),
             "summary.csv": csv(summary_frame([summary])),
             "session.json": json_bytes(self._about),
         }.items():

@@ -1,8 +1,8 @@
-"""A session: a fleet that runs as the wall clock goes, and the person who guides it.
+"""A session: runs a fleet by the wall clock, with a person who gives the inputs.
 
-One thread owns fleet, desk and log; the engine's calls are made in another, and XLA lets go of the
-interpreter meanwhile, so that the page is answered while robots plan. What a client does comes in
-through `ask`; its reply is sent when what it led to is on the disk.
+One thread owns the fleet, the input panel and the log. Another thread calls the engine; XLA
+releases the interpreter lock meanwhile, so that the page is served while robots plan. Actions of
+clients come in through `ask`; the reply is sent when the events that follow are on the disk.
 """
 
 import dataclasses
@@ -25,19 +25,19 @@ from pgf_jax.simulation.snapshot import FleetSnapshot
 
 log = logging.getLogger(__name__)
 
-TICK_S = 0.02  # how long nothing is done at most
-FRAME_S = 0.2  # between pictures of a fleet in which nothing is picked
+TICK_S = 0.02  # longest wait for an action of a client
+FRAME_S = 0.2  # between two frames, unless an action of a client changes the panel
 LATE = Feedback("Too late: the robot had no time left.", ok=False)
-HOLD_S = 0.5  # how far the computer may be behind before the clock waits for it
+HOLD_S = 0.5  # how late a computation may be before the clock waits for it
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Picked:
-    """What the operator is at.
+    """The push that the operator has picked so far.
 
     Attributes:
       robot: that is served.
-      object, target, problem: see `Desk`.
+      object, target, problem: see `InputPanel`.
     """
 
     robot: int
@@ -48,14 +48,14 @@ class Picked:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Frame:
-    """What the page shows.
+    """The state of a session that the page shows.
 
     Attributes:
       fleet: the robots.
-      picked: None while nobody is served by a person.
-      running: the clock runs; False before its start and after the end.
-      over: the session has ended.
-      behind_s: wall time for which the clock has waited for the computer so far, s.
+      picked: None while no robot is served by a person.
+      running: whether the clock runs; False before its start and after the end.
+      over: whether the session has ended.
+      behind_s: wall time for which the clock has waited for computations so far, s.
     """
 
     fleet: FleetSnapshot
@@ -66,29 +66,29 @@ class Frame:
 
 
 class WallClock:
-    """Simulated time, driven by the wall clock.
+    """Simulated time that follows the wall clock.
 
     Args:
-      speed: simulated seconds a second.
-      at_ns: where it stands until it is started.
+      speed: simulated seconds per second.
+      at_ns: simulated time at the start, ns.
     """
 
     def __init__(self, speed: float, at_ns: int) -> None:
         self._speed, self._at_ns = speed, at_ns
         self._since: float | None = None
-        self.held_s = 0.0  # wall time that it has been turned back by
+        self.held_s = 0.0  # wall time by which the clock was set back in all
 
     @property
     def running(self) -> bool:
-        """Whether it has been started, and not stopped."""
+        """Whether the clock has been started, and not stopped."""
         return self._since is not None
 
     def start(self) -> None:
-        """Go on from where it stands."""
+        """Start the clock, at the time at which it stands."""
         self._since = time.monotonic()
 
     def stop(self) -> None:
-        """Stand still."""
+        """Stop the clock."""
         self._at_ns, self._since = self.now_ns(), None
 
     def now_ns(self) -> int:
@@ -98,7 +98,7 @@ class WallClock:
         return self._at_ns + round((time.monotonic() - self._since) * self._speed * 1e9)
 
     def hold(self, at_ns: int) -> None:
-        """Turn it back to `at_ns`: the computer is that late."""
+        """Set the clock back to `at_ns`, because a computation is late."""
         self.held_s += max(0, self.now_ns() - at_ns) / 1e9 / self._speed
         self._at_ns, self._since = at_ns, time.monotonic()
 
@@ -107,63 +107,65 @@ class Session:
     """Runs a fleet in real time.
 
     Args:
-      setting: what it is made of.
-      on_frame: shown to with every picture, in the session's thread.
+      spec: of the session.
+      on_frame: called with every frame, in the session's thread.
     """
 
     def __init__(self, spec: SessionSpec, on_frame: Callable[[Frame], None]) -> None:
         self.panel = InputPanel()
-        self.play: FleetRunner = spec.play(self._open)
-        spec.catch_up(self.play)
-        self.record: SessionRecorder = spec.record(self.play)
+        self.runner: FleetRunner = spec.new_runner(self._open)
+        spec.restore(self.runner)
+        self.recorder: SessionRecorder = spec.open_recorder(self.runner)
         self.clock = WallClock(spec.config.speed, spec.start_ns)
         self._config, self._on_frame = spec.config, on_frame
         self._live = spec.config.operator == "live"
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._replies: list[Callable[[], None]] = []  # sent when all is on the disk
-        self._answers: dict[tuple, Callable[[bool], None]] = {}  # by service: when its end is
+        self._replies: list[Callable[[], None]] = []  # sent when all events are on the disk
+        # By service: replies that are sent when the end of the service is on the disk.
+        self._answers: dict[tuple, Callable[[bool], None]] = {}
         self._until_ns = spec.start_ns
-        self._asked_ns = spec.start_ns  # when the service under way began
-        self._seen = 0  # events; catching up may have ended a service that it opened
-        self._there = self.play.fleet.operators.is_there(0)
+        self._asked_ns = spec.start_ns  # when the present service began
+        self._seen = 0  # events; `restore` may have ended a service that it opened
+        self._present = self.runner.fleet.operators.is_present(0)
         self._frame_at = 0.0
         self._stopping = False
 
     # -- from other threads ---------------------------------------------------------------------
 
     def ask(self, act: Callable[[InputPanel], Feedback], reply: Callable[[Feedback], None]) -> None:
-        """Have a client's act done at the desk; `reply` is called with what they are told."""
+        """Do a client's action on the panel soon; `reply` is called with the feedback."""
 
         def do() -> None:
-            asked = self.panel.asked
+            pending = self.panel.pending
             try:
-                word = act(self.panel)
+                feedback = act(self.panel)
             except Exception:  # whatever a client sent, the fleet keeps planning
-                log.exception("a client's act failed")
-                word = Feedback("That did not work.", ok=False)
-            if word.answered and asked is not None:
-                self._answers[asked.service] = lambda in_time: reply(word if in_time else LATE)
+                log.exception("the action of a client failed")
+                feedback = Feedback("That did not work.", ok=False)
+            if feedback.answered and pending is not None:
+                service = pending.service
+                self._answers[service] = lambda in_time: reply(feedback if in_time else LATE)
             else:
-                self._replies.append(lambda: reply(word))
-            self._frame_at = 0.0  # to be seen at once
+                self._replies.append(lambda: reply(feedback))
+            self._frame_at = 0.0  # show it at once
 
         self._inbox.put(do)
 
     def take(self, client: int, reply: Callable[[Feedback], None]) -> None:
-        """A client wants to operate."""
+        """Make a client the operator, unless another one operates; the first starts the clock."""
 
         def act(panel: InputPanel) -> Feedback:
-            word = panel.take(client)
-            if word.ok:
+            feedback = panel.take(client)
+            if feedback.ok:
                 self._attend(True)
                 if self._live and not self.clock.running:
                     self.clock.start()
-            return word
+            return feedback
 
         self.ask(act, reply)
 
     def leave(self, client: int) -> None:
-        """A client has gone."""
+        """Remove a client; if it operated, the operator is away."""
 
         def act(panel: InputPanel) -> Feedback:
             if panel.leave(client):
@@ -171,12 +173,12 @@ class Session:
                 self._attend(False)
             return Feedback("")
 
-        self.ask(act, lambda word: None)
+        self.ask(act, lambda feedback: None)
 
     def act(
         self, client: int, do: Callable[[InputPanel], Feedback], reply: Callable[[Feedback], None]
     ) -> None:
-        """The operator did something; they are there, even if they were taken to be away."""
+        """Do an action of a client; an operator who acts is present, even if taken to be away."""
 
         def act(panel: InputPanel) -> Feedback:
             if client == panel.operator:
@@ -195,10 +197,10 @@ class Session:
     def run(self) -> None:
         """Run until all tasks are done, the horizon has passed, or `stop`.
 
-        The log can be gone on with unless the fleet is done.
+        Unless the fleet is done, the session can be resumed from its log.
         """
-        fleet = self.play.fleet
-        warm_up(self.play.planner_service, self._any_search(), self._config.seed)
+        fleet = self.runner.fleet
+        warm_up(self.runner.planner_service, self._any_search(), self._config.seed)
         if not self._live:
             self.clock.start()
         with ThreadPoolExecutor(1, "engine") as worker:
@@ -209,21 +211,21 @@ class Session:
                 if under_way is not None and under_way[1].done():
                     batch, future = under_way
                     under_way = None
-                    self.play.queue.resolve(batch, future.result())
-                    self._inbox.put(None)  # what follows from it follows at once
+                    self.runner.scheduler.resolve(batch, future.result())
+                    self._inbox.put(None)  # process the consequences at once
                 if under_way is None:
                     under_way = self._next_call(worker)
                 self._show()
             if under_way is not None:
-                self.play.queue.resolve(under_way[0], under_way[1].result())
+                self.runner.scheduler.resolve(under_way[0], under_way[1].result())
         self.clock.stop()
         self._show(over=True)
 
     def _any_search(self):
-        return next(iter(self.play.planned.robots.values())).search
+        return next(iter(self.runner.robots.robots.values())).search
 
     def _take_in(self) -> None:
-        """Do what clients have asked for; wait for it a little."""
+        """Do the actions of clients; wait a little for the first."""
         try:
             do = self._inbox.get(timeout=TICK_S)
             while True:
@@ -236,31 +238,31 @@ class Session:
     def _advance(self) -> None:
         now_ns = self.clock.now_ns()
         if self.clock.running:
-            # An input counts from the next instant on: it is not put off to the next tick.
+            # An input takes effect at the next instant, not at the next tick.
             self._until_ns = max(now_ns, self._until_ns + 1)
-            self.play.step(self._until_ns)
-            waits_for_ns = self.play.fleet.waits_for_ns
+            self.runner.step(self._until_ns)
+            blocked_at_ns = self.runner.fleet.blocked_at_ns
             late_ns = round(HOLD_S * 1e9 * self._config.speed)
-            if waits_for_ns is not None and now_ns > waits_for_ns + late_ns:
-                self.clock.hold(waits_for_ns + late_ns)
+            if blocked_at_ns is not None and now_ns > blocked_at_ns + late_ns:
+                self.clock.hold(blocked_at_ns + late_ns)
             self._give_up_waiting(now_ns)
         self._end_services()
-        self.record.write()
+        self.recorder.write()
         replies, self._replies = self._replies, []
         for reply in replies:
             _safely(reply)
 
     def _give_up_waiting(self, now_ns: int) -> None:
-        if self.panel.asked is None:
+        if self.panel.pending is None:
             return
         if now_ns - self._asked_ns >= self._config.patience * 1e9:
-            log.info("robot %d goes on alone: no answer", self.panel.asked.robot)
+            log.info("robot %d goes on alone: no answer", self.panel.pending.robot)
             self.panel.answer(UNANSWERED)
-            self._attend(False)  # nor would others get one
+            self._attend(False)  # other robots would get no answer either
 
     def _end_services(self) -> None:
-        """Acknowledge answers; close the desk where a robot had no time left for one."""
-        events = self.play.fleet.events
+        """Acknowledge answers; close the panel if a robot has no time left for an answer."""
+        events = self.runner.fleet.events
         for event in events[self._seen :]:
             if event.kind is not EventKind.SERVICE_END:
                 continue
@@ -268,42 +270,42 @@ class Session:
             if service in self._answers:
                 in_time = event.outcome in ("push", "go_on")
                 self._replies.append(functools.partial(self._answers.pop(service), in_time))
-            elif self.panel.asked is not None and self.panel.asked.service == service:
+            elif self.panel.pending is not None and self.panel.pending.service == service:
                 log.info("robot %d has no time left for an answer", event.robot)
                 self.panel.close()
         self._seen = len(events)
 
     def _next_call(self, worker: ThreadPoolExecutor) -> tuple[list, Future] | None:
-        # What costs little first: a robot may wait for its gain.
-        batch = self.play.queue.take_others() or self.play.queue.take_steps()
+        # Short computations first: a robot may wait for its predicted gain.
+        batch = self.runner.scheduler.take_others() or self.runner.scheduler.take_steps()
         if not batch:
             return None
         future = worker.submit(
-            self.play.planner_service.compute, [request for *_, request in batch]
+            self.runner.planner_service.compute, [request for *_, request in batch]
         )
         future.add_done_callback(lambda _: self._inbox.put(None))
         return batch, future
 
-    def _open(self, asked: InputRequest) -> None:
-        self.panel.open(asked)
-        self._asked_ns = self.play.fleet.now_ns
+    def _open(self, request: InputRequest) -> None:
+        self.panel.open(request)
+        self._asked_ns = self.runner.fleet.now_ns
         self._frame_at = 0.0
 
     def _attend(self, present: bool) -> None:
-        if self._live and self._there != present:
-            self._there = present
-            self.play.fleet.attend(0, present)
+        if self._live and self._present != present:
+            self._present = present
+            self.runner.fleet.set_attendance(0, present)
 
     def _show(self, *, over: bool = False) -> None:
         now = time.monotonic()
         if now < self._frame_at and not over:
             return
         self._frame_at = now + FRAME_S
-        asked, panel = self.panel.asked, self.panel
-        picked = asked and Picked(asked.robot, panel.object, panel.target, panel.problem)
-        time_ns = max(self.clock.now_ns(), self.play.fleet.now_ns)
+        panel, request = self.panel, self.panel.pending
+        picked = request and Picked(request.robot, panel.object, panel.target, panel.problem)
+        time_ns = max(self.clock.now_ns(), self.runner.fleet.now_ns)
         frame = Frame(
-            self.play.watch.snapshot(time_ns),
+            self.runner.observer.snapshot(time_ns),
             picked,
             self.clock.running,
             over,
@@ -313,8 +315,8 @@ class Session:
 
 
 def _safely(show: Callable[[], None]) -> None:
-    """Whatever is wrong with a page, the fleet keeps planning."""
+    """Call a function of the page; log its errors, so that the fleet keeps planning."""
     try:
         show()
     except Exception:
-        log.exception("a page could not be told")
+        log.exception("the page failed")

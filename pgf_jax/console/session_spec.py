@@ -1,4 +1,4 @@
-"""What a session is made of: a new one, one that is gone on with, or one that is replayed."""
+"""Reads what a session is made of: a new session, one that is resumed, or one that is replayed."""
 
 import dataclasses
 import logging
@@ -10,48 +10,47 @@ from pgf_jax.console.live_operator import InputRequest, LiveOperator
 from pgf_jax.console.recorder import SessionRecorder
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Fleet
-from pgf_jax.fleet.config import Cell
 from pgf_jax.provenance import environment
 from pgf_jax.simulation.planned_robots import PlannedRobots
 from pgf_jax.simulation.recorded_operator import LIVE, Recording
 from pgf_jax.simulation.runner import FleetRunner
-from pgf_jax.sweeping.replay import agreed, compare, replaying, settings_of
-from pgf_jax.sweeping.resolve import Setup, identity, prepare
+from pgf_jax.sweeping.replay import agreed_settings, replay_config, replay_difference, settings_of
+from pgf_jax.sweeping.resolve import CellSpec, ResolvedSweep, resolve
 from pgf_jax.tables.event_log import JOURNAL, TABLE, EventLog, Journal, read_log
 
 log = logging.getLogger(__name__)
-_OF_A_SERVER = ("host", "port")
-_OF_PEOPLE = ("speed", "patience")  # settings that a simulated operator knows nothing of
+_OF_SERVER = ("host", "port")
+_OF_PERSON = ("speed", "patience")  # settings that do not concern a simulated operator
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SessionSpec:
-    """A session before it runs.
+    """The specification of a session, before it runs.
 
     Attributes:
-      config: as given; of a session that is gone on with, or replayed, as recorded.
-      setup: the sweep of one cell that it is, but for its clock.
-      earlier: what was recorded of it before, where it is gone on with.
+      config: as given; of a session that is resumed or replayed, as recorded.
+      sweep: the session as a sweep of one cell; the two differ in the clock alone.
+      earlier: log of the session that is resumed; None: a new session.
     """
 
     config: ConsoleConfig
-    setup: Setup
+    sweep: ResolvedSweep
     earlier: EventLog | None
 
     @classmethod
-    def of(cls, config: ConsoleConfig) -> "SessionSpec":
-        """Prepare a session.
+    def load(cls, config: ConsoleConfig) -> "SessionSpec":
+        """Read the inputs of a session.
 
         Raises:
-          BadInput: a setting or file cannot be used; the folder holds a session and `resume` was
-            not said; or what is to be gone on with was recorded by other versions or has ended.
+          BadInput: a setting or file cannot be used; the folder holds a session and `resume` is not
+            set; or the session to resume was recorded by other versions, or has ended.
         """
         earlier = None
         if config.resume:
             earlier = read_log(config.out / JOURNAL)
-            if _OF_PEOPLE[0] not in (earlier.settings or {}):
-                raise BadInput(f"{earlier.path}: was no live session, and only those go on")
-            config = _as_recorded(config, earlier, _OF_A_SERVER)
+            if _OF_PERSON[0] not in (earlier.settings or {}):
+                raise BadInput(f"{earlier.path}: expected a live session; others are not resumed")
+            config = _as_recorded(config, earlier, _OF_SERVER)
         else:
             for name in (JOURNAL, TABLE):
                 if (config.out / name).exists():
@@ -62,98 +61,99 @@ class SessionSpec:
             sweep = config.sweep()
         else:
             recorded = read_log(config.log)
-            config = _as_recorded(config, recorded, _OF_A_SERVER + _OF_PEOPLE)
-            sweep = replaying(config.sweep(), recorded)
-        spec = cls(config, prepare(sweep), earlier)
+            config = _as_recorded(config, recorded, _OF_SERVER + _OF_PERSON)
+            sweep = replay_config(config.sweep(), recorded)
+        spec = cls(config, resolve(sweep), earlier)
         spec._check_earlier()
         return spec
 
     @property
-    def cell(self) -> Cell:
-        """The fleet's policy and sizes."""
-        return self.setup.config.cells()[0]
+    def cell(self) -> CellSpec:
+        """The session's fleet."""
+        return self.sweep.cells[0]
 
     @property
     def start_ns(self) -> int:
-        """Simulated time at which it begins, or goes on."""
+        """Simulated time at which the session begins, or is resumed, ns."""
         return self.earlier.events[-1].time_ns if self.earlier and self.earlier.events else 0
 
     def about(self) -> dict[str, Any]:
-        """What its log says of it."""
-        settings = settings_of(self.setup.config)
+        """Settings, identity and environment, for the session's log."""
+        settings = settings_of(self.sweep.config)
         if self.config.operator == LIVE:
-            settings |= {name: getattr(self.config, name) for name in _OF_PEOPLE}
+            settings |= {name: getattr(self.config, name) for name in _OF_PERSON}
         return {
             "settings": settings,
-            "identity": identity(self.setup, self.cell),
+            "identity": self.cell.identity,
             "environment": environment(),
         }
 
-    def play(self, on_asked: Callable[[InputRequest], None]) -> FleetRunner:
-        """The fleet, before anything has happened.
+    def new_runner(self, on_request: Callable[[InputRequest], None]) -> FleetRunner:
+        """Make the fleet, before its first event.
 
         Args:
-          on_asked: called when a person is asked for an input.
+          on_request: called when a person is asked for an input.
         """
         if self.config.operator != LIVE:
-            return FleetRunner.of(self.setup, self.cell)
+            return FleetRunner.of(self.cell.fleet)
         recording = None if self.earlier is None else Recording.of(self.earlier)
-        operator = LiveOperator(on_asked, recording)
+        operator = LiveOperator(on_request, recording)
 
         def new_fleet(planned: PlannedRobots) -> Fleet:
             return Fleet(
-                self.setup.config.fleet(self.cell),
+                self.cell.fleet.config,
                 planned,
                 service=operator,
                 attendance=() if recording is None else recording.attendance,
             )
 
-        return FleetRunner.of(self.setup, self.cell, new_fleet=new_fleet, operator=operator)
+        return FleetRunner.of(self.cell.fleet, new_fleet=new_fleet, operator=operator)
 
-    def catch_up(self, play: FleetRunner) -> None:
-        """Bring a new fleet to where it begins or goes on.
+    def restore(self, runner: FleetRunner) -> None:
+        """Run a new fleet up to the time at which the session begins or is resumed.
 
         Raises:
-          BadInput: it went another way now than it was recorded, or had ended there.
+          BadInput: its events differ from those recorded, or the session had ended.
         """
-        play.run_until(self.start_ns)
+        runner.run_until(self.start_ns)
         if self.earlier is None:
             return
-        difference = compare(play.fleet.events, self.earlier)
+        difference = replay_difference(runner.fleet.events, self.earlier)
         if difference is not None:
             raise BadInput(difference)
-        # One that was killed before its tables were written has only these to come.
-        if play.fleet.done and (self.config.out / TABLE).exists():
+        # A session that was killed before its tables were written is resumed to write them.
+        if runner.fleet.done and (self.config.out / TABLE).exists():
             raise BadInput(
                 f"{self.earlier.path}: the session has ended; there is nothing to resume"
             )
-        log.info("going on after %d events", len(self.earlier.events))
+        log.info("resuming after %d events", len(self.earlier.events))
 
-    def record(self, play: FleetRunner) -> SessionRecorder:
-        """Where it is written."""
+    def open_recorder(self, runner: FleetRunner) -> SessionRecorder:
+        """Open the files that the session is recorded in."""
         path = self.config.out / JOURNAL
         if self.earlier is None:
             journal, written = Journal(path, self.about()), 0
         else:
-            (self.config.out / TABLE).unlink(missing_ok=True)  # it will end otherwise now
+            # The table has an end that the resumed session will not have.
+            (self.config.out / TABLE).unlink(missing_ok=True)
             journal = Journal(path, None, keep=self.earlier.size)
             written = len(self.earlier.events)
-        return SessionRecorder(play, self.setup, self.cell, self.about(), journal, written)
+        return SessionRecorder(runner, self.cell, self.about(), journal, written)
 
     def _check_earlier(self) -> None:
         if self.earlier is None:
             return
-        theirs, ours = self.earlier.about["identity"], identity(self.setup, self.cell)
+        theirs, ours = self.earlier.about["identity"], self.cell.identity
         for name, value in ours.items():
             if theirs.get(name) != value:
                 raise BadInput(
                     f"{self.earlier.path}: recorded with another {name} than there is now; a "
-                    "session can only be gone on with as it was"
+                    "session is resumed as it was recorded, or not at all"
                 )
 
 
 def _as_recorded(config: ConsoleConfig, earlier: EventLog, own: tuple[str, ...]) -> ConsoleConfig:
-    """The settings of the session that is gone on with, or replayed; but for its `own`."""
+    """The settings of the recorded session, except those in `own`, which stay as given."""
     recorded = earlier.settings or {}
     flat = {
         **recorded,
@@ -162,7 +162,7 @@ def _as_recorded(config: ConsoleConfig, earlier: EventLog, own: tuple[str, ...])
     }
     ours = {n: v for n, v in settings_of(config).items() if n not in own}
     defaults = {n: v for n, v in settings_of(ConsoleConfig()).items() if n not in own}
-    values = agreed(ours, defaults, flat, earlier.path)
+    values = agreed_settings(ours, defaults, flat, earlier.path)
     try:
         return dataclasses.replace(config, **values)
     except (BadInput, TypeError, ValueError) as error:

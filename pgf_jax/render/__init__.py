@@ -1,5 +1,9 @@
-"""Pictures and films: a plan, a robot's task, or a fleet's wall of shelves.
+"""Pictures and films of a plan, of one robot's task, or of a whole fleet.
 
-`wall.draw` is a fleet at an instant, `panel.draw` one robot; both take their shelves from a `View`,
-`top.TopView` or `shelf3d.ShelfView`. `motion.Motion` is a plan in time, `movie` writes files.
+Read `command.py` first: it turns the settings into a picture or a film. `fleet_view.py` draws all
+robots at one instant, `robot_view.py` one robot; both let a `ShelfView` draw the shelves (`top.py`
+from above, `shelf3d.py` in three dimensions). `motion.py` simulates a plan again, `movie.py` writes
+the files.
+
+Imports `plans`, `sweeping` and what is below them.
 """

@@ -19,14 +19,15 @@ def draw_costs(
     *,
     size: float = 0.0,
 ) -> None:
-    """Draw the cost of the best trajectory over reach iterations, on a scale of log(1 + cost).
+    """Draw the cost of the best trajectory after each reach iteration, scaled as log(1 + cost).
 
     Args:
       canvas: to draw on.
-      box: where, pixels.
-      costs: after each iteration; what is not finite lies at the upper edge.
-      inputs_at: for each input, how many costs there were: a line before what came after it.
-      size: of the axes' numbers, pixels; 0: none.
+      box: place on the canvas, pixels.
+      costs: after each iteration; costs that are not finite lie at the upper edge.
+      inputs_at: for each input, how many costs there were when it came; a vertical line is drawn
+        between the costs before and after it.
+      size: of the numbers at the axes, pixels; 0: no numbers.
     """
     left, top, right, bottom = box
     if size:
@@ -70,7 +71,7 @@ def draw_costs(
             anchor="ra",
         )
     for count in inputs_at:
-        # Before anything was rolled out there is no curve to stand in.
+        # An input may come before the first rollout, when there is no curve yet.
         at = x(max(count - 0.5, 0.0))
         canvas.line([(at, top), (at, bottom)], INPUT + "b0", 1.4)
     points = [(x(i), y(cost)) for i, cost in enumerate(costs)]

@@ -1,4 +1,4 @@
-"""A plan's execution in time: its pushes with their retreats, then the reach, simulated again."""
+"""Simulates the execution of a plan again: its pushes with their retreats, then the reach."""
 
 import math
 from collections.abc import Iterator
@@ -15,22 +15,23 @@ from pgf_jax.planning.types import Push
 from pgf_jax.plans.file import Plan
 from pgf_jax.simulation.snapshot import RobotSnapshot
 
-# A knot is simulated in up to so many parts: between its ends, objects would lag behind the hand.
+# Most parts that a knot is simulated in. With one part, objects drawn between the ends of a knot
+# would lag behind the hand.
 _PARTS = 6
 
 
 class Motion:
-    """What a plan does, from simulated time 0; planning takes no time here.
+    """The execution of a plan over time, from 0; planning takes no time here.
 
     Attributes:
-      plan: which.
-      times: [M] s, at which the rest is known; it is linear in between.
+      plan: the plan.
+      times: [M] s, at which the other arrays are known; between two times they are interpolated.
       objects: [M, N, 2] centres, m.
       hand: [M, 3] poses.
       gripper: [M] 0 open .. 255 closed.
 
     Raises:
-      BadInput: the plan's engine or physics is not there, or does not carry the plan out.
+      BadInput: the plan's engine or physics is unknown, or its simulation does not stay finite.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -73,14 +74,14 @@ class Motion:
 
     @property
     def duration_s(self) -> float:
-        """How long it takes, s."""
+        """Duration of the execution, s."""
         return float(self.times[-1])
 
     def at(self, time_s: float) -> RobotSnapshot:
-        """The robot at a time (s), done from the end on.
+        """The robot at a time (s); its task is done from the end on.
 
-        A plan's file does not say what it was told to push: the push shown is of the object that
-        moved farthest, to where that came.
+        The file of a plan does not hold the targets of its pushes. The push shown is that of the
+        object that moved farthest, to the place where it ended.
         """
         time_s = min(max(time_s, 0.0), self.duration_s)
         over = time_s >= self.duration_s
@@ -105,7 +106,7 @@ class Motion:
             gripper=float(between(self.gripper)),
             path=self._knots[segment],
             push=self._pushes[segment],
-            # Without the small terms for the shelf's edge and walls, which the file does not keep.
+            # Without c_e and c_s (the shelf's edge and walls), which the file does not hold.
             costs=tuple(float(c) for c in plan.history.sum(1)),
             inputs_at=plan.history_starts[1:],
             stuck=False,
@@ -118,17 +119,17 @@ class Motion:
     def film(
         self, step_s: float, start_s: float = 0.0, stop_s: float | None = None
     ) -> Iterator[RobotSnapshot]:
-        """Snapshots every `step_s` from `start_s` to `stop_s` (default: the end), both included."""
+        """Yield snapshots every `step_s` from `start_s` to `stop_s`, by default the end."""
         last_s = self.duration_s if stop_s is None else stop_s
         for i in range(self.frames(step_s, start_s, stop_s)):
             yield self.at(min(start_s + i * step_s, last_s))
 
     def frames(self, step_s: float, start_s: float = 0.0, stop_s: float | None = None) -> int:
-        """How many snapshots `film` yields."""
+        """Number of snapshots that `film` yields."""
         stop_s = self.duration_s if stop_s is None else min(stop_s, self.duration_s)
         if start_s > stop_s:
             return 0
-        # One more than fits where the steps do not meet the end, which shall be seen.
+        # Where the steps do not meet the end, one more snapshot shows it.
         return math.ceil((stop_s - start_s) / step_s - 1e-9) + 1
 
 
@@ -147,7 +148,7 @@ def _roll(
     substeps: int,
     begins_s: float,
 ) -> tuple[World, _Rows]:
-    """Simulate controls ([T, 3], `substeps` each): the world after, and what was on the way."""
+    """Simulate controls ([T, 3], `substeps` each); returns the world after them, and the rows."""
     parts = max(p for p in range(1, _PARTS + 1) if substeps % p == 0)
     targets = np.concatenate([[start.gripper], gripper])
     shares = np.arange(1, parts + 1) / parts
@@ -168,7 +169,7 @@ def _roll(
 
 
 def _retreat(engine: Engine, start: World, begins_s: float) -> tuple[World, _Rows]:
-    """Straight back, as `BatchPlanner.retreat` does after a push."""
+    """Simulate a straight retreat, as `BatchPlanner.retreat` does after a push."""
     physics = engine.physics
     substeps = round(RETREAT_S / physics.substep_s / physics.knots)
     yaw = float(start.hand[2]) + hand.POINTING_YAW

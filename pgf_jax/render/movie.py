@@ -1,4 +1,4 @@
-"""Picture and film files, whole or not at all."""
+"""Writes the files of pictures and films; an interrupted film leaves no file."""
 
 import contextlib
 import io
@@ -14,7 +14,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.files import write_atomically
 from pgf_jax.terminal import Progress
 
-_QUALITY = ("-crf", "18", "-movflags", "+faststart")  # fine lines and text; begins at once on pages
+_QUALITY = ("-crf", "18", "-movflags", "+faststart")  # sharp text; a browser can start at once
 
 
 def write_picture(path: Path | str, picture: np.ndarray) -> Path:
@@ -32,12 +32,16 @@ def write_picture(path: Path | str, picture: np.ndarray) -> Path:
 
 
 def even(size: tuple[int, int]) -> tuple[int, int]:
-    """The nearest size that is not larger and whose numbers H.264 takes: even ones."""
+    """Round a size down to even numbers, which H.264 requires."""
     return size[0] // 2 * 2, size[1] // 2 * 2
 
 
 def check_films() -> None:
-    """BadInput unless films can be written; cheap, and so worth asking before long work."""
+    """Check that films can be written; cheap, so call it before long work.
+
+    Raises:
+      BadInput: there is no `imageio-ffmpeg`, or it has no program here.
+    """
     _ffmpeg()
 
 
@@ -47,13 +51,13 @@ def write_film(
     """Write a film (MP4, H.264, yuv420p), frame by frame.
 
     Args:
-      path: of the file; it is there once the film is whole. Interrupted, nothing is.
+      path: of the file; it appears when the film is complete.
       frames: [H, W, 3] uint8, all of one size with even sides.
       fps: frames per second.
-      total: how many frames there will be, to show progress by; None: not known.
+      total: number of frames to come, for the progress display; None: not known.
 
     Returns:
-      How many frames were written.
+      The number of frames written.
 
     Raises:
       BadInput: no `imageio-ffmpeg`, no frame, or the file cannot be written.
@@ -68,11 +72,11 @@ def write_film(
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.touch()
-        with _encoder(ffmpeg, temporary, size, fps) as pipe, _count(total) as count:
+        with _encoder(ffmpeg, temporary, size, fps) as pipe, _progress(total) as show:
             while frame is not None:
                 pipe.write(np.ascontiguousarray(frame).data)
                 done += 1
-                count(done)
+                show(done)
                 frame = next(frames, None)
         os.replace(temporary, path)
     except OSError as error:
@@ -84,7 +88,7 @@ def write_film(
 
 
 def _ffmpeg() -> str:
-    """The program."""
+    """Path of the ffmpeg program."""
     try:
         import imageio_ffmpeg
     except ImportError:
@@ -93,7 +97,7 @@ def _ffmpeg() -> str:
         ) from None
     try:
         return imageio_ffmpeg.get_ffmpeg_exe()
-    except RuntimeError as error:  # a wheel for a platform that it has no program for
+    except RuntimeError as error:  # the wheel has no program for this platform
         raise BadInput(
             "films need ffmpeg, which imageio-ffmpeg has none of here: install it, or name it in "
             "IMAGEIO_FFMPEG_EXE"
@@ -102,9 +106,9 @@ def _ffmpeg() -> str:
 
 @contextlib.contextmanager
 def _encoder(program: str, path: Path, size: tuple[int, int], fps: int) -> Iterator[IO[bytes]]:
-    """What takes frames' bytes; afterwards the file is whole, or BadInput says why not.
+    """Open a pipe that takes the bytes of frames; BadInput at the end if encoding failed.
 
-    Not imageio-ffmpeg's own: it forks in Python, which JAX warns of.
+    The writer of imageio-ffmpeg itself forks in Python, which JAX warns about.
     """
     raw = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", str(fps))
     film = ("-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", *_QUALITY)
@@ -115,29 +119,29 @@ def _encoder(program: str, path: Path, size: tuple[int, int], fps: int) -> Itera
         try:
             yield process.stdin
             process.stdin.close()
-        except BrokenPipeError:  # it has ended early: its own words say why
+        except BrokenPipeError:  # the encoder ended early; its own message says why
             broken = True
         except BaseException:
             process.kill()
             raise
         finally:
-            with contextlib.suppress(OSError):  # what it has not taken is of no use
+            with contextlib.suppress(OSError):  # bytes that are left in the pipe are of no use
                 process.stdin.close()
-        words = process.stderr.read().decode(errors="replace").split("\n")
+        lines = process.stderr.read().decode(errors="replace").split("\n")
     if process.returncode or broken:
-        reason = next((line for line in reversed(words) if line.strip()), "no reason given")
+        reason = next((line for line in reversed(lines) if line.strip()), "no reason given")
         raise BadInput(f"{path.parent}: the film cannot be written (ffmpeg: {reason.strip()})")
 
 
 @contextlib.contextmanager
-def _count(total: int | None) -> Iterator[Callable[[int], None]]:
-    """A function to call with the number of frames done, which shows it."""
+def _progress(total: int | None) -> Iterator[Callable[[int], None]]:
+    """A function that shows the number of frames done."""
     if total is not None:
         with Progress("frames") as progress:
             yield lambda done: progress.update(done, total)
         return
     from rich.console import Console
 
-    # How far it is to the end is not known: on a terminal a running number, elsewhere nothing.
+    # Without a total: a running number on a terminal, nothing elsewhere.
     with Console(stderr=True).status("frames") as status:
         yield lambda done: status.update(f"{done} frames")

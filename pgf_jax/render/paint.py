@@ -1,4 +1,4 @@
-"""Antialiased drawing with Pillow: shapes on a larger canvas, text once it has been reduced."""
+"""Antialiased drawing with Pillow: shapes are drawn larger and reduced, then text is written."""
 
 import functools
 import math
@@ -10,7 +10,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 INK, MUTED, RULE = "#1d2733", "#687482", "#d3d9e1"
 BACKGROUND, CARD = "#e6e9ee", "#ffffff"
-_FINER = 3  # canvas pixels a pixel, each way
+SHELF_ASPECT = 1.2  # width over height at which a picture of a shelf has the least empty border
+_FINER = 3  # pixels of the drawing per pixel of the finished picture, each way
 
 Point = tuple[float, float]
 Box = tuple[float, float, float, float]  # left, top, right, bottom
@@ -18,7 +19,7 @@ Box = tuple[float, float, float, float]  # left, top, right, bottom
 
 @functools.cache
 def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """DejaVu Sans, which every matplotlib brings along; `size` in pixels."""
+    """The font DejaVu Sans, which matplotlib contains; `size` in pixels."""
     import matplotlib
 
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
@@ -26,18 +27,18 @@ def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
 
 
 def text_width(text: str, size: float, bold: bool = False) -> float:
-    """Of a line of text, pixels."""
+    """Width of a line of text, pixels."""
     return font(max(round(size), 1), bold).getlength(text)
 
 
 class Canvas:
-    """A picture under way. Coordinates and widths are pixels of the finished one, as floats.
+    """A picture to draw on; coordinates and widths are pixels of the finished picture, as floats.
 
-    Shapes may have alpha (`#rrggbbaa`). Pasted pictures lie above all shapes, text above those.
+    Colours may have alpha (`#rrggbbaa`). Pasted pictures lie above all shapes, and text above both.
     """
 
     def __init__(self, width: int, height: int, background: "str | Canvas" = CARD) -> None:
-        """Begin.
+        """Create a canvas.
 
         Args:
           width, height: of the finished picture, pixels.
@@ -66,7 +67,7 @@ class Canvas:
         outline: str | None = None,
         width: float = 1.0,
     ) -> None:
-        """A rectangle, its corners rounded by `radius`; the outline lies inside."""
+        """Draw a rectangle with corners rounded by `radius`; the outline lies inside."""
         left, top, right, bottom = (round(v * _FINER) for v in box)
         self._draw.rounded_rectangle(
             (left, top, max(right - 1, left), max(bottom - 1, top)),
@@ -85,7 +86,7 @@ class Canvas:
         outline: str | None = None,
         width: float = 1.0,
     ) -> None:
-        """A disc; the outline lies inside."""
+        """Draw a disc; the outline lies inside."""
         self._draw.ellipse(
             _around(centre, radius),
             fill,
@@ -94,18 +95,18 @@ class Canvas:
         )
 
     def dashed_circle(self, centre: Point, radius: float, color: str, width: float) -> None:
-        """A circle of 12 dashes."""
+        """Draw a circle of 12 dashes."""
         box = _around(centre, radius)
         for start in range(0, 360, 30):
             self._draw.arc(box, start, start + 18, color, max(round(width * _FINER), 1))
 
     def line(self, points: Sequence[Point], color: str, width: float) -> None:
-        """A line through points; its joints are round, its ends square."""
+        """Draw a line through points; its joints are round, its ends square."""
         scaled = [(x * _FINER, y * _FINER) for x, y in points]
         self._draw.line(scaled, color, max(round(width * _FINER), 1), joint="curve")
 
     def capsule(self, a: Point, b: Point, radius: float, color: str) -> None:
-        """All that is within `radius` of the line from `a` to `b`."""
+        """Fill all points within `radius` of the line from `a` to `b`."""
         length = math.hypot(b[0] - a[0], b[1] - a[1])
         if length:
             dx, dy = (b[0] - a[0]) / length * radius, (b[1] - a[1]) / length * radius
@@ -122,7 +123,7 @@ class Canvas:
         self.disc(b, radius, color)
 
     def arrow(self, a: Point, b: Point, color: str, width: float) -> None:
-        """An arrow from `a` to its tip `b`; none where they are one point."""
+        """Draw an arrow from `a` to its tip `b`; nothing if they are the same point."""
         length = math.hypot(b[0] - a[0], b[1] - a[1])
         if length < 1e-9:
             return
@@ -146,16 +147,17 @@ class Canvas:
         bold: bool = False,
         room: float | None = None,
     ) -> None:
-        """Write a line.
+        """Write a line of text.
 
         Args:
-          at: where its `anchor` lies, pixels.
-          text: what.
+          at: position of the anchor, pixels.
+          text: to write.
           size: of the font, pixels.
-          color: of the ink.
-          anchor: Pillow's: l, m or r; then a (top), m (middle), s (baseline) or d.
-          bold: the heavier face.
-          room: width in pixels that it may take; it is written smaller, and cut off in the end.
+          color: of the text.
+          anchor: Pillow's: l, m or r; then a (top), m (middle), s (baseline) or d (descender).
+          bold: use the bold font.
+          room: width in pixels that the text may take; text that is too wide is written smaller,
+            down to 0.7 of `size`, and then cut off.
         """
         least, size = round(0.7 * size), max(round(size), 1)
         if room is not None:
@@ -168,11 +170,11 @@ class Canvas:
         self._texts.append((at, text, size, color, anchor, bold))
 
     def paste(self, left: int, top: int, picture: np.ndarray) -> None:
-        """Lay a finished picture ([h, w, 3] uint8) over the shapes."""
+        """Put a finished picture ([h, w, 3] uint8) over the shapes."""
         self._pastes.append((left, top, picture))
 
     def finish(self) -> np.ndarray:
-        """[height, width, 3] uint8."""
+        """The finished picture, [height, width, 3] uint8."""
         image = self._image.reduce(_FINER)
         for left, top, picture in self._pastes:
             image.paste(Image.fromarray(picture), (left, top))

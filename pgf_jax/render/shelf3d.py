@@ -1,7 +1,7 @@
-"""A shelf in three dimensions, drawn by MuJoCo; for looks only, nothing here is simulated.
+"""Draws a shelf in three dimensions with MuJoCo's renderer; nothing is simulated here.
 
-The model holds what stands still. What moves is put into the drawn scene afresh for each picture,
-so that one model and one GL context serve every robot, number of objects and size.
+The model holds the shelf alone. Objects and hand are added to the drawn scene for each picture, so
+one model and one GL context serve every robot, every number of objects and every size.
 """
 
 # MuJoCo's compiled modules come without type stubs.
@@ -18,21 +18,21 @@ from PIL import ImageColor
 from pgf_jax.errors import BadInput
 from pgf_jax.physics import hand
 from pgf_jax.planning.types import Push
+from pgf_jax.render.paint import SHELF_ASPECT
 from pgf_jax.render.top import PUSH_COLOR
-from pgf_jax.render.view import ASPECT
 from pgf_jax.scene.draw import CORRIDOR_OBJECT_COLOR, GOAL_COLOR, ROBOT_COLOR
 from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, HEIGHT, RADIUS, SIDE_WALL_Y
 from pgf_jax.simulation.snapshot import RobotSnapshot
 
 _SIDE, _WALL, _BOARD = 0.17, 0.012, 0.02  # height of the walls, thickness of walls and board, m
-_HAND_Z = 0.060  # of the hand's middle plane, m
-# Half heights of the palm's capsules: steps, for faces in one plane would flicker. m
+_HAND_Z = 0.060  # height of the hand's middle plane, m
+# Half heights of the palm's capsules, m; all different, because faces in one plane would flicker.
 _PALM_HALF_Z = (0.036, 0.028, 0.032, 0.024)
 _OBJECT, _PATH, _FINGER, _ARM = "#b9bec6", "#f2b705", "#2a2f38", "#c5ccd6"
 _LOOK_AT, _DISTANCE, _ELEVATION = (0.29, 0.0, 0.02), 1.10, -54.0  # m, m, degrees
 _MAX_GEOMS = 1000
-_SHADOWS_FROM_PX = 200  # width of a picture
-_SPARE = 256  # pixels that a larger buffer is rounded up to
+_SHADOWS_FROM_PX = 200  # smallest width of a picture with shadows
+_SPARE = 256  # sides of the drawing buffer are multiples of it, pixels
 
 _MODEL = """
 <mujoco>
@@ -60,11 +60,11 @@ _MODEL = """
 """
 
 
-class ShelfView:
-    """Draws shelves in three dimensions, from above their front; a `View`.
+class View3d:
+    """Draws shelves in three dimensions, seen from the front and above; a `ShelfView`.
 
     Raises:
-      BadInput: there is no EGL to draw with.
+      BadInput: the computer has no EGL.
     """
 
     def __init__(self) -> None:
@@ -73,41 +73,41 @@ class ShelfView:
             from mujoco.egl import GLContext
 
             self._gl: Any = GLContext(0, 0)
-        # Whatever the driver's absence looks like: no library, no display, no configuration.
+        # A missing driver has many forms: no library, no display, no configuration.
         except (ImportError, AttributeError, RuntimeError, OSError, ValueError) as error:
             raise _no_egl() from error
-        except Exception as error:  # PyOpenGL's own errors share no base with the rest
+        except Exception as error:  # PyOpenGL's own errors share no base class with these
             if not type(error).__module__.startswith("OpenGL"):
                 raise
             raise _no_egl() from error
         self._mujoco = mujoco
         self._context: Any = None
-        self._room = (0, 0)
-        atexit.register(self.close)  # before the display goes, on which the context lies
+        self._buffer = (0, 0)  # width and height of the drawing buffer, pixels
+        atexit.register(self.close)  # the context must be freed before the display is
 
     def shelf(self, robot: RobotSnapshot, width: int, height: int) -> np.ndarray:
-        """See `View.shelf`."""
+        """See `ShelfView.shelf`."""
         mujoco = self._mujoco
         if self._gl is None:
             raise RuntimeError("the view has been closed")
         self._gl.make_current()
-        self._make_room(width, height)
+        self._enlarge_buffer(width, height)
         camera = mujoco.MjvCamera()
         camera.lookat[:] = _LOOK_AT
-        # A narrower picture shows the shelf's whole width from further away.
-        camera.distance = _DISTANCE * max(1.0, ASPECT * height / width)
+        # In a narrow picture the whole width of the shelf is seen from farther away.
+        camera.distance = _DISTANCE * max(1.0, SHELF_ASPECT * height / width)
         camera.azimuth, camera.elevation = 0.0, _ELEVATION
-        all_of_it = mujoco.mjtCatBit.mjCAT_ALL.value
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(
-            self._model, self._data, self._option, None, camera, all_of_it, self._scene
+            self._model, self._data, self._option, None, camera, everything, self._scene
         )
-        moving = _Moving(mujoco, self._scene)
+        moving = _MovingGeoms(mujoco, self._scene)
         moving.objects(robot)
-        moving.hand(robot.hand, robot.gripper)
-        moving.path(robot.path)
+        moving.hand(robot)
+        moving.path(robot)
         if robot.push is not None:
             moving.push(robot.push, robot.objects[robot.push.object])
-        # In software they take two thirds of the time, and in a small picture nobody misses them.
+        # Shadows take two thirds of the time in software, and are hardly seen in a small picture.
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW.value] = width >= _SHADOWS_FROM_PX
         picture = np.empty((height, width, 3), np.uint8)
         rect = mujoco.MjrRect(0, 0, width, height)
@@ -116,7 +116,7 @@ class ShelfView:
         return np.ascontiguousarray(picture[::-1])
 
     def close(self) -> None:
-        """See `View.close`."""
+        """See `ShelfView.close`."""
         if self._gl is None:
             return
         atexit.unregister(self.close)
@@ -126,17 +126,17 @@ class ShelfView:
         self._gl.free()
         self._gl = None
 
-    def _make_room(self, width: int, height: int) -> None:
-        """A drawing buffer of that size or more."""
-        if width <= self._room[0] and height <= self._room[1]:
+    def _enlarge_buffer(self, width: int, height: int) -> None:
+        """Make the drawing buffer at least `width` x `height` pixels large."""
+        if width <= self._buffer[0] and height <= self._buffer[1]:
             return
         mujoco = self._mujoco
         if self._context is not None:
             self._context.free()
-        more = (max(width, self._room[0]), max(height, self._room[1]))
-        self._room = (-(-more[0] // _SPARE) * _SPARE, -(-more[1] // _SPARE) * _SPARE)
+        least = (max(width, self._buffer[0]), max(height, self._buffer[1]))
+        self._buffer = (-(-least[0] // _SPARE) * _SPARE, -(-least[1] // _SPARE) * _SPARE)
         self._model = mujoco.MjModel.from_xml_string(
-            _MODEL.format(width=self._room[0], height=self._room[1], boxes=_boxes())
+            _MODEL.format(width=self._buffer[0], height=self._buffer[1], boxes=_boxes())
         )
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
@@ -154,7 +154,7 @@ def _no_egl() -> BadInput:
 
 
 def _boxes() -> str:
-    """The shelf: a board and three walls."""
+    """XML of the shelf: a board and three walls."""
     depth, middle = (BACK_WALL_X - FRONT_X) / 2, (BACK_WALL_X + FRONT_X) / 2
     z, tall, thin = (_SIDE - _BOARD) / 2, (_SIDE + _BOARD) / 2, _WALL / 2
     boxes = [
@@ -164,23 +164,23 @@ def _boxes() -> str:
         ("wall", (middle, -SIDE_WALL_Y - thin, z), (depth, thin, tall)),
     ]
     return "".join(
-        f'<geom type="box" material="{material}" pos="{_words(pos)}" size="{_words(size)}"/>'
+        f'<geom type="box" material="{material}" pos="{_numbers(pos)}" size="{_numbers(size)}"/>'
         for material, pos, size in boxes
     )
 
 
-def _words(values) -> str:
+def _numbers(values) -> str:
     return " ".join(f"{v:g}" for v in values)
 
 
-class _Moving:
-    """Puts what moves into a scene that is about to be drawn."""
+class _MovingGeoms:
+    """Adds the objects, the hand, the path and the push to a scene before it is drawn."""
 
     def __init__(self, mujoco: Any, scene: Any) -> None:
         self._mujoco, self._scene, self._type = mujoco, scene, mujoco.mjtGeom
 
     def _geom(self, shape: Any, size, pos, color: str, turn=None, alpha: float = 1.0) -> Any:
-        """The next geom; None once the scene is full."""
+        """Add a geom; returns None if the scene is full."""
         scene = self._scene
         if scene.ngeom >= scene.maxgeom:
             return None
@@ -191,7 +191,7 @@ class _Moving:
         self._mujoco.mjv_initGeom(
             geom, shape.value, np.array(size, float), np.array(pos, float), turn.ravel(), rgba
         )
-        # As a part of the model: decoration would throw no shadow.
+        # A geom of the category "decoration" would throw no shadow.
         geom.category = self._mujoco.mjtCatBit.mjCAT_DYNAMIC.value
         geom.transparent = int(alpha < 1)
         geom.specular, geom.shininess = 0.25, 0.4
@@ -209,20 +209,18 @@ class _Moving:
         )
 
     def objects(self, robot: RobotSnapshot) -> None:
-        """Upright cylinders."""
+        """Add the objects, as upright cylinders."""
         pushed = None if robot.push is None else robot.push.object
         for i, (x, y) in enumerate(robot.objects):
             color = CORRIDOR_OBJECT_COLOR if i == pushed else _OBJECT
             color = GOAL_COLOR if i == robot.goal else color
             self._cylinder(x, y, HEIGHT / 2, RADIUS, HEIGHT / 2, color)
 
-    def hand(self, pose: np.ndarray, gripper: float) -> None:
-        """The capsules, extruded; a wrist and a forearm behind."""
-        x, y, yaw = (float(v) for v in pose)
-        turn = _about_z(yaw)
-        segments = hand.capsule_segments(float(gripper)) @ turn[:2, :2].T + [x, y]  # [C, 2, 2]
-        palms = iter(_PALM_HALF_Z)
-        for (a, b), radius, body in zip(segments, hand.RADII, hand.CAPSULE_BODY, strict=True):
+    def hand(self, robot: RobotSnapshot) -> None:
+        """Add the hand's capsules, extruded, and a wrist and a forearm behind them."""
+        x, y, yaw = (float(v) for v in robot.hand)
+        axes, palms = robot.hand_axes(), iter(_PALM_HALF_Z)
+        for (a, b), radius, body in zip(axes, hand.RADII, hand.CAPSULE_BODY, strict=True):
             palm = hand.BODIES[body] == "palm"
             color, half = (ROBOT_COLOR, next(palms)) if palm else (_FINGER, 0.016)
             (dx, dy), (mx, my) = b - a, (a + b) / 2
@@ -242,20 +240,16 @@ class _Moving:
         )
         self._connect(self._type.mjGEOM_CAPSULE, 0.042, base - 0.70 * ahead, base, _ARM)
 
-    def path(self, path: np.ndarray) -> None:
-        """Where the end-effector point goes, over the objects' tops."""
-        x, y, yaw = np.asarray(path, float).reshape(-1, 3).T
-        c, s = np.cos(yaw), np.sin(yaw)
-        ahead, aside = hand.EE_POINT
-        z = np.full_like(x, HEIGHT + 0.012)
-        points = np.stack([x + c * ahead - s * aside, y + s * ahead + c * aside, z], -1)
+    def path(self, robot: RobotSnapshot) -> None:
+        """Add the path of the end-effector point, above the objects."""
+        points = [(x, y, HEIGHT + 0.012) for x, y in robot.end_effector_path()]
         for a, b in itertools.pairwise(points):
             self._connect(self._type.mjGEOM_CAPSULE, 0.003, a, b, _PATH)
         for point in points:
             self._geom(self._type.mjGEOM_SPHERE, (0.006,) * 3, point, _PATH)
 
     def push(self, push: Push, start: np.ndarray) -> None:
-        """A ghost where the object shall come to, and an arrow to it."""
+        """Add the object once more, transparent, at its target, and an arrow to it."""
         self._cylinder(push.x, push.y, HEIGHT / 2, RADIUS, HEIGHT / 2, CORRIDOR_OBJECT_COLOR, 0.4)
         z = HEIGHT + 0.02
         a, b = (float(start[0]), float(start[1]), z), (push.x, push.y, z)

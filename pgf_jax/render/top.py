@@ -1,4 +1,4 @@
-"""A shelf from above: x (into the shelf) points up, y (left) to the left, as in `scene.draw`."""
+"""Draws a shelf from above: x (into the shelf) points up, y points left, as in `scene.draw`."""
 
 import math
 
@@ -11,7 +11,7 @@ from pgf_jax.scene.draw import CORRIDOR_OBJECT_COLOR, GOAL_COLOR, OBJECT_COLOR, 
 from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
 from pgf_jax.simulation.snapshot import RobotSnapshot
 
-# What is always in the picture, metres: the shelf, and the hand as a task begins.
+# Part of the plane that is always in the picture, m: the shelf, and the hand at its start.
 LOW_X, HIGH_X, HALF_WIDTH = -0.08, 0.615, 0.425
 
 PUSH_COLOR = "#c8500a"
@@ -20,41 +20,41 @@ _EDGE = "#4a4f57"
 _ARM, _FINGER, _HAND_EDGE = "#7d8ba3", "#16396f", "#0f2547"
 _PUSHED = CORRIDOR_OBJECT_COLOR
 _WALL_M = 0.012
-_NUMBERS_FROM_PX = 9  # radius of an object that a number is written on
+_NUMBERS_FROM_PX = 9  # smallest radius of an object that its number is written on
 
 
 def pixels_per_metre(width: int, height: int) -> float:
-    """Scale of a picture of that many pixels."""
+    """Scale of a picture of `width` x `height` pixels."""
     return min(width / (2 * HALF_WIDTH), height / (HIGH_X - LOW_X))
 
 
 def project(x: float, y: float, width: int, height: int) -> Point:
-    """Where a point of the plane (m) comes to lie in a picture: px from its left, from its top."""
+    """Pixel of a point (m) of the plane: distance from the left and from the top of the picture."""
     scale = pixels_per_metre(width, height)
     return width / 2 - y * scale, height / 2 - (x - (LOW_X + HIGH_X) / 2) * scale
 
 
 class TopView:
-    """Draws shelves from above; keeps the empty shelf of each size."""
+    """Draws shelves from above; a `ShelfView` that keeps the empty shelf of each size."""
 
     def __init__(self) -> None:
         self._empty: dict[tuple[int, int], Canvas] = {}
 
     def shelf(self, robot: RobotSnapshot, width: int, height: int) -> np.ndarray:
-        """See `View.shelf`."""
+        """See `ShelfView.shelf`."""
         size = (width, height)
         if size not in self._empty:
             self._empty[size] = _empty_shelf(width, height)
         picture = _Picture(Canvas(width, height, self._empty[size]))
         picture.push_target(robot.push)
         picture.objects(robot)
-        picture.hand(robot.hand, robot.gripper)
-        picture.path(robot.path)
+        picture.hand(robot)
+        picture.path(robot)
         picture.push_arrow(robot)
         return picture.canvas.finish()
 
     def close(self) -> None:
-        """See `View.close`."""
+        """See `ShelfView.close`."""
         self._empty.clear()
 
 
@@ -76,7 +76,7 @@ def _empty_shelf(width: int, height: int) -> Canvas:
 
 
 class _Picture:
-    """A canvas on which a shelf is drawn in metres."""
+    """Draws the parts of a shelf on a canvas; positions are in metres."""
 
     def __init__(self, canvas: Canvas) -> None:
         self.canvas = canvas
@@ -88,7 +88,7 @@ class _Picture:
         return project(float(point[0]), float(point[1]), self.canvas.width, self.canvas.height)
 
     def objects(self, robot: RobotSnapshot) -> None:
-        """Discs, numbered from 1 where there is room."""
+        """Draw the objects as discs, numbered from 1 where there is room."""
         radius = RADIUS * self._scale
         pushed = None if robot.push is None else robot.push.object
         for i, centre in enumerate(robot.objects):
@@ -103,35 +103,24 @@ class _Picture:
                 bold = i == robot.goal
                 self.canvas.text(at, str(i + 1), 0.85 * radius, ink, anchor="mm", bold=bold)
 
-    def hand(self, pose: np.ndarray, gripper: float) -> None:
-        """The hand's capsules, and a forearm that leaves the picture."""
-        x, y, yaw = (float(v) for v in pose)
-        c, s = math.cos(yaw), math.sin(yaw)
-        turn = np.array([[c, -s], [s, c]])
-        segments = hand.capsule_segments(float(gripper)) @ turn.T + [x, y]  # [C, 2, 2]
-        back = (x - 0.6 * c, y - 0.6 * s)
+    def hand(self, robot: RobotSnapshot) -> None:
+        """Draw the hand's capsules, and a forearm that leaves the picture."""
+        x, y, yaw = (float(v) for v in robot.hand)
+        back = (x - 0.6 * math.cos(yaw), y - 0.6 * math.sin(yaw))
         scale, edge = self._scale, max(0.0025 * self._scale, 0.7)
         self.canvas.capsule(self._at((x, y)), self._at(back), 0.040 * scale + edge, _HAND_EDGE)
         self.canvas.capsule(self._at((x, y)), self._at(back), 0.040 * scale, _ARM)
-        ends = [(self._at(a), self._at(b)) for a, b in segments]
-        # All edges first: what remains of them is the outline of the whole hand.
+        ends = [(self._at(a), self._at(b)) for a, b in robot.hand_axes()]
+        # All edges first: what is not covered afterwards is the outline of the whole hand.
         for (a, b), radius in zip(ends, hand.RADII, strict=True):
             self.canvas.capsule(a, b, radius * scale + edge, _HAND_EDGE)
         for (a, b), radius, body in zip(ends, hand.RADII, hand.CAPSULE_BODY, strict=True):
             color = ROBOT_COLOR if hand.BODIES[body] == "palm" else _FINGER
             self.canvas.capsule(a, b, radius * scale, color)
 
-    def path(self, path: np.ndarray) -> None:
-        """The line of the end-effector point, with a dot at each pose."""
-        if len(path) == 0:
-            return
-        x, y, yaw = np.asarray(path, float).T
-        c, s = np.cos(yaw), np.sin(yaw)
-        ahead, aside = hand.EE_POINT
-        points = [
-            self._at(p)
-            for p in np.stack([x + c * ahead - s * aside, y + s * ahead + c * aside], -1)
-        ]
+    def path(self, robot: RobotSnapshot) -> None:
+        """Draw the path of the end-effector point, with a dot at each knot end."""
+        points = [self._at(point) for point in robot.end_effector_path()]
         color = "#f2b705"
         if len(points) > 1:
             self.canvas.line(points, "#00000055", 2.0 * self._line)
@@ -140,7 +129,7 @@ class _Picture:
             self.canvas.disc(at, 1.6 * self._line, color, outline="#00000088", width=0.7)
 
     def push_target(self, push: Push | None) -> None:
-        """A ghost of the pushed object, where it shall come to."""
+        """Draw the pushed object once more, transparent, at its target."""
         if push is None:
             return
         at, radius = self._at((push.x, push.y)), RADIUS * self._scale
@@ -148,7 +137,7 @@ class _Picture:
         self.canvas.dashed_circle(at, radius, PUSH_COLOR, self._line)
 
     def push_arrow(self, robot: RobotSnapshot) -> None:
-        """From the pushed object to where it shall come to."""
+        """Draw an arrow from the pushed object to its target."""
         if robot.push is not None:
             start, end = robot.objects[robot.push.object], (robot.push.x, robot.push.y)
             self.canvas.arrow(self._at(start), self._at(end), PUSH_COLOR, 1.3 * self._line)

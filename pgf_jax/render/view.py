@@ -1,4 +1,4 @@
-"""What draws a shelf: from above, or in three dimensions."""
+"""The interface of the two views that draw a shelf: from above, and in three dimensions."""
 
 from typing import Protocol
 
@@ -6,31 +6,29 @@ import numpy as np
 
 from pgf_jax.simulation.snapshot import RobotSnapshot
 
-ASPECT = 1.2  # width to height at which the views fill their pictures best
 
-
-class View(Protocol):
-    """Draws one robot and its shelf; what it sets up serves for all robots and sizes."""
+class ShelfView(Protocol):
+    """Draws one robot and its shelf; one object draws all robots, in any size."""
 
     def shelf(self, robot: RobotSnapshot, width: int, height: int) -> np.ndarray:
-        """[height, width, 3] uint8: the robot, its objects, path and push."""
+        """Draw the robot, its objects, path and push: [height, width, 3] uint8."""
         ...
 
     def close(self) -> None:
-        """Free what it holds; it draws nothing afterwards."""
+        """Free all resources; the view must not draw afterwards."""
         ...
 
 
-def make_view(name: str) -> View:
-    """The view `top` or `3d`.
+def make_view(name: str) -> ShelfView:
+    """Make the view `top` or `3d`.
 
     Raises:
-      BadInput: `3d`, where nothing can be drawn in three dimensions.
+      BadInput: `3d`, on a computer without EGL.
     """
     if name == "top":
         from pgf_jax.render.top import TopView
 
         return TopView()
-    from pgf_jax.render.shelf3d import ShelfView
+    from pgf_jax.render.shelf3d import View3d
 
-    return ShelfView()
+    return View3d()

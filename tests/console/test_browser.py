@@ -1,4 +1,4 @@
-"""The console as a person meets it: a browser, a mouse, and the event log."""
+"""The console in a real browser: mouse, keyboard, and the event log of the session."""
 
 import numpy as np
 import polars as pl
@@ -23,7 +23,7 @@ from pgf_jax.tables.event_log import first_difference, read_log
 
 
 def a_push(scene) -> Push:
-    """Of an object at the front, to a place that is free."""
+    """A push of an object at the front to a free place."""
     positions = scene.positions
 
     class Shelf(View):
@@ -41,7 +41,7 @@ def a_push(scene) -> Push:
 
 
 def test_a_person_clicks_an_object_and_a_place_and_the_robot_goes_on_with_that(tmp_path):
-    """And leaves, comes back, is watched; and the session replays as it was."""
+    """The operator also leaves and comes back, a second client watches; the session replays."""
     # `always` asks before it plans, so a robot asks at once.
     options = ("--robots", "2", "--tasks", "1", "--policy", "always", "--seed", "0")
     with console(tmp_path / "s", *options) as server, browser() as chromium:
@@ -52,7 +52,7 @@ def test_a_person_clicks_an_object_and_a_place_and_the_robot_goes_on_with_that(t
 
         click_shelf(page, cell, positions[push.object])
         wait_for_text(page, f"Object {push.object + 1}: now click where it should come to.")
-        # What cannot be meant is refused, and nothing is lost.
+        # Targets that are not allowed are refused, and the picked object is kept.
         click_shelf(page, cell, np.array([0.5, 0.43]))
         wait_for_text(page, "That is outside the shelf.")
         click_shelf(page, cell, positions[scene_of(0, 0).goal])
@@ -60,7 +60,7 @@ def test_a_person_clicks_an_object_and_a_place_and_the_robot_goes_on_with_that(t
         click_shelf(page, cell, np.array([push.x, push.y]))
         wait_for_text(page, "Confirm (Enter)")
 
-        # Somebody else may watch, and no more.
+        # A second client may watch only.
         other = visit(chromium, server.url)
         wait_for_text(other, "You watch, somebody else operates.")
         other.get_by_role("button", name="Push").click()
@@ -76,7 +76,7 @@ def test_a_person_clicks_an_object_and_a_place_and_the_robot_goes_on_with_that(t
         assert (given["outcome"], given["object"]) == ("push", push.object)
         # Within two pixels of where the mouse was.
         assert np.hypot(given["x"] - push.x, given["y"] - push.y) < 0.003
-        # The task goes on with that very input: the robot plans this push.
+        # The task goes on with that input: the robot plans the push.
         server.wait_for(
             lambda events: [
                 e
@@ -108,13 +108,13 @@ def test_a_person_clicks_an_object_and_a_place_and_the_robot_goes_on_with_that(t
     )
     events = replayed.events().drop("policy", "robots")
     assert events.equals(pl.read_parquet(tmp_path / "s" / "events.parquet"))
-    # What was written as it went is its beginning: the end is in the tables only.
+    # The journal is the beginning of the log: the end is in the tables only.
     journal = read_log(tmp_path / "s" / "events.jsonl")
     assert first_difference(log.events, journal.events) is None
 
 
 def test_a_killed_server_goes_on_where_it_was(tmp_path):
-    """What was acknowledged is there; the page, still open, comes back by itself."""
+    """Acknowledged answers are kept, and the open page connects again by itself."""
     options = ("--robots", "2", "--tasks", "1", "--policy", "always")
     with browser() as chromium:
         with console(tmp_path / "s", *options) as server:
@@ -122,16 +122,16 @@ def test_a_killed_server_goes_on_where_it_was(tmp_path):
             wait_for_text(page, "Robot 0 asks")
             page.keyboard.press("g")
             wait_for_text(page, "Go on reaching.")
-            said = server.events()  # by now it is on the disk
+            before = server.events()  # the answer is on the disk by now
             server.process.kill()
             server.process.wait()
-        ends = [event for event in said if event["kind"] == "service_end"]
+        ends = [event for event in before if event["kind"] == "service_end"]
         assert [(event["robot"], event["outcome"]) for event in ends] == [(0, "go_on")]
 
         resume = ("--resume", "--port", str(server.port))
         with console(tmp_path / "s", *resume) as server:
-            assert server.events()[: len(said)] == said
-            # No server of ours any more, but the page's own address: it connects again.
+            assert server.events()[: len(before)] == before
+            # The new server has the address of the page, so the page connects again.
             wait_for_text(page, "You operate.")
 
             def answered():

@@ -1,4 +1,4 @@
-"""Sessions without a page: what a person does arrives in the log, and the log brings it back."""
+"""Sessions without a page: what a person does is in the log, and the log replays it."""
 
 import dataclasses
 import json
@@ -19,7 +19,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Event, EventKind
 from pgf_jax.planning.types import Push
 from pgf_jax.sweeping.config import SweepConfig
-from pgf_jax.sweeping.replay import compare, replay
+from pgf_jax.sweeping.replay import replay, replay_difference
 from pgf_jax.tables import results
 from pgf_jax.tables.event_log import JOURNAL, TABLE, line, read_log
 
@@ -28,7 +28,7 @@ ENDS = ("push", "go_on")
 
 
 def answers(events: list[Event]) -> list[tuple[tuple, Push | None]]:
-    """What the log says that was said."""
+    """The services that were answered, with their inputs, by the log."""
     return [
         (
             (event.robot, event.task, event.request),
@@ -44,14 +44,14 @@ def same(events, others) -> bool:
 
 
 def replayed(log: Path, out: Path) -> list[Event]:
-    """What a sweep makes of a log: the same, or it says so."""
+    """The events of a sweep that replays a log."""
     result = pgf_jax.sweep(SweepConfig(operator="replay", log=log, out=out), quiet=True)
     return results.event_log(result.events().select(list(results.EVENT_SCHEMA)))
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Person:
-    """A session that went on to its end; its tables are not written yet."""
+    """A session that ran to its end; its tables are not written yet."""
     person = Person(toy(tmp_path_factory.mktemp("whole") / "session"))
     with person:
         assert person.take().text == "You operate."
@@ -61,8 +61,8 @@ def whole(tmp_path_factory) -> Person:
 
 @pytest.fixture(scope="module")
 def closed(whole) -> Person:
-    """And now they are."""
-    whole.session.record.close()
+    """The same session, with its tables written."""
+    whole.session.recorder.close()
     return whole
 
 
@@ -76,7 +76,7 @@ def test_answers_arrive_as_they_were_acknowledged(whole):
     log = read_log(whole.journal)
     assert answers(log.events) == said
     assert same(log.events, whole.events)
-    assert whole.session.play.fleet.done
+    assert whole.session.runner.fleet.done
 
 
 def test_nothing_is_acknowledged_before_it_is_on_the_disk(whole, tmp_path):
@@ -125,7 +125,7 @@ def test_what_there_is_to_see(whole):
             assert frame.picked.robot == frame.fleet.serving
 
 
-# -- who is there ----------------------------------------------------------------------------------
+# -- operators that come and go --------------------------------------------------------------------
 
 
 def test_the_clock_starts_when_an_operator_has_come(tmp_path):
@@ -133,9 +133,9 @@ def test_the_clock_starts_when_an_operator_has_come(tmp_path):
         person.wait(lambda: len(person.frames) >= 2)
         assert not any(frame.running for frame in person.frames)
         assert person.frames[-1].fleet.time_ns == 0
-        word = person.act(lambda panel: panel.go_on(ME))
-        assert (word.text, word.ok) == ("Nobody operates; you watch.", False)
-        assert person.session.play.fleet.now_ns == 0
+        feedback = person.act(lambda panel: panel.go_on(ME))
+        assert (feedback.text, feedback.ok) == ("Nobody operates; you watch.", False)
+        assert person.session.runner.fleet.now_ns == 0
         person.take()
         person.wait(lambda: person.frames[-1].running)
         assert not person.take(OTHER).ok
@@ -151,24 +151,24 @@ def test_one_who_gives_no_answer_is_away_until_they_act(tmp_path):
         (end,) = [event for event in person.events if event.kind is EventKind.SERVICE_END]
         assert end.outcome == "unanswered"
         assert end.time_ns - grant.time_ns >= 5 * S
-        assert person.session.panel.asked is None
-        word = person.act(lambda panel: panel.go_on(ME))
-        assert (word.text, word.ok) == ("No robot is being served.", False)
+        assert person.session.panel.pending is None
+        feedback = person.act(lambda panel: panel.go_on(ME))
+        assert (feedback.text, feedback.ok) == ("No robot is being served.", False)
         person.wait_for(EventKind.OPERATOR_BACK)
-        # Whoever watches brings nobody back.
+        # An action of a client that only watches brings no operator back.
         away = person.count(EventKind.OPERATOR_AWAY)
         person.act(lambda panel: panel.undo(OTHER), client=OTHER)
         assert person.count(EventKind.OPERATOR_BACK) == away
     kinds = [event.kind for event in person.events]
     assert kinds.index(EventKind.OPERATOR_AWAY) < kinds.index(EventKind.OPERATOR_BACK)
-    person.session.record.close()
+    person.session.recorder.close()
     assert same(replayed(tmp_path, tmp_path / "replay"), read_log(tmp_path / TABLE).events)
 
 
 def test_an_operator_who_leaves_and_one_who_comes(tmp_path):
     with Person(toy(tmp_path, patience=1e6)) as person:
         person.take()
-        person.wait(lambda: person.session.panel.asked)
+        person.wait(lambda: person.session.panel.pending)
         person.session.leave(OTHER)  # who only watched
         person.session.leave(ME)
         person.wait_for(EventKind.OPERATOR_AWAY)
@@ -184,25 +184,25 @@ def test_an_operator_who_leaves_and_one_who_comes(tmp_path):
     assert answers(person.events) == [given[:2] for given in person.acknowledged]
 
 
-def test_a_service_that_expires_closes_the_desk(tmp_path):
+def test_a_service_that_expires_closes_the_panel(tmp_path):
     with Person(toy(tmp_path, robots=1, patience=1e6, speed=1000.0)) as person:
         person.take()
-        person.wait(lambda: person.session.panel.asked)
-        first = person.session.panel.asked
+        person.wait(lambda: person.session.panel.pending)
+        first = person.session.panel.pending
         assert first is not None
         person.act(lambda panel: panel.click(ME, 0, *map(float, first.view.objects[5])))
         person.wait_for(EventKind.SERVICE_END, outcome="expired")
-        person.wait(lambda: person.session.panel.asked is not first)
+        person.wait(lambda: person.session.panel.pending is not first)
         seen: list = []
 
         def look(panel):
-            seen.append((panel.asked, panel.object, panel.target))
+            seen.append((panel.pending, panel.object, panel.target))
             return Feedback("seen")
 
         person.act(look)
-        ((asked, picked, target),) = seen
+        ((pending, picked, target),) = seen
         assert (picked, target) == (None, None)
-        assert asked is None or asked.task == 1
+        assert pending is None or pending.task == 1
     assert answers(person.events) == []
 
 
@@ -214,11 +214,11 @@ def test_an_act_that_fails_stops_nothing(tmp_path):
             raise RuntimeError("the page sent nonsense")
 
         for _ in range(3):
-            word = person.act(fail)
-            assert (word.text, word.ok, word.answered) == ("That did not work.", False, False)
-        word = person.act(lambda panel: panel.click(ME, 0, "left", None))  # pyright: ignore[reportArgumentType]
-        assert not word.ok
-        person.wait(lambda: person.session.panel.asked)
+            feedback = person.act(fail)
+            assert feedback == Feedback("That did not work.", ok=False)
+        feedback = person.act(lambda panel: panel.click(ME, 0, "left", None))  # pyright: ignore[reportArgumentType]
+        assert not feedback.ok
+        person.wait(lambda: person.session.panel.pending)
         assert person.answer(lambda number: 2).answered
         person.wait_for(EventKind.ITERATION)
     assert person.error is None
@@ -226,55 +226,55 @@ def test_an_act_that_fails_stops_nothing(tmp_path):
 
 @pytest.mark.parametrize("changes", [{"horizon": 10.0}, {}], ids=["horizon", "limit"])
 def test_an_answer_that_comes_too_late_for_the_fleet(changes, tmp_path):
-    # Robot 1 plans, and the computer does not get round to it. Here the test is the session's
-    # thread, and the clock stands where it is put.
+    # The computation of robot 1 is late. Here the test is the session's thread, and sets the
+    # clock.
     config = toy(tmp_path, policy="first asks", robots=2, tasks=1, patience=1e6, **changes)
-    session = Session(SessionSpec.of(config), lambda frame: None)
+    session = Session(SessionSpec.load(config), lambda frame: None)
     clock = types.SimpleNamespace(running=True, at_ns=0, now_ns=lambda: clock.at_ns,
                                   hold=lambda at_ns: None, held_s=0.0)  # fmt: skip
     session.clock = clock  # pyright: ignore[reportAttributeAccessIssue]
-    words: list[Feedback] = []
+    feedbacks: list[Feedback] = []
 
     def turn():
         session._take_in()
         session._advance()
 
-    session.take(ME, words.append)
+    session.take(ME, feedbacks.append)
     turn()
-    assert session.panel.asked is not None and len(session.play.queue) == 1
+    assert session.panel.pending is not None and len(session.runner.scheduler) == 1
     clock.at_ns = 9 * S if changes else 179 * S
     turn()
     clock.at_ns += 2 * S  # past the horizon, or the limit of robot 0's task
     turn()
-    session.act(ME, lambda panel: panel.go_on(ME), words.append)
+    session.act(ME, lambda panel: panel.go_on(ME), feedbacks.append)
     turn()
-    while len(session.play.queue):
-        session.play.queue.run_batch()
+    while len(session.runner.scheduler):
+        session.runner.scheduler.run_batch()
         turn()
     turn()
-    assert len(words) == 2
-    said = answers(session.play.fleet.events)
-    assert words[1].answered == (said == [((0, 0, 0), None)])
-    session.record.close()
-    play, log = replay(tmp_path / JOURNAL)
-    play.run_until()
-    assert compare(play.fleet.events, log) is None
+    assert len(feedbacks) == 2
+    said = answers(session.runner.fleet.events)
+    assert feedbacks[1].answered == (said == [((0, 0, 0), None)])
+    session.recorder.close()
+    runner, log = replay(tmp_path / JOURNAL)
+    runner.run_until()
+    assert replay_difference(runner.fleet.events, log) is None
 
 
-# -- the end, and going on -------------------------------------------------------------------------
+# -- the end, and resuming -------------------------------------------------------------------------
 
 
-def test_a_session_that_was_stopped_can_be_gone_on_with(tmp_path):
+def test_a_session_that_was_stopped_can_be_resumed(tmp_path):
     out = tmp_path / "session"
     with Person(toy(out)) as person:
         person.take()
-        person.wait(lambda: person.session.panel.asked)
+        person.wait(lambda: person.session.panel.pending)
         person.answer(lambda number: 0)
         person.wait_for(EventKind.GRANT, 2)
-    summary = person.session.record.close()
+    summary = person.session.recorder.close()
     assert summary.censored > 0
     journal, table = read_log(out / JOURNAL), read_log(out / TABLE)
-    # The table says that it was cut off; the journal does not, since it will go on.
+    # The table says that the session was cut off; the journal does not, as it can be resumed.
     assert same(table.events[: len(journal.events)], journal.events)
     assert table.events[-1].outcome == "censored"
     assert all(event.outcome != "censored" for event in journal.events)
@@ -290,7 +290,7 @@ def test_a_session_that_was_stopped_can_be_gone_on_with(tmp_path):
         again.session.leave(OTHER)
         again.take()
         again.serve()
-    again.session.record.close()
+    again.session.recorder.close()
     log = read_log(out / JOURNAL)
     assert same(log.events[: len(journal.events)], journal.events)
     said = [given[:2] for given in person.acknowledged + again.acknowledged]
@@ -299,8 +299,8 @@ def test_a_session_that_was_stopped_can_be_gone_on_with(tmp_path):
 
 
 def kills(acknowledged: list[tuple], whole_log: bytes, chance: random.Random):
-    """(answers acknowledged, what is on the disk) of servers that are killed at random."""
-    # With the first event of the last instant the others of it are known: that session has ended.
+    """Yield (answers acknowledged, bytes on the disk) of servers that are killed at random."""
+    # With the first event of the last instant on the disk, the session has ended.
     lines = whole_log.splitlines(keepends=True)
     times = [json.loads(text)["time_ns"] for text in lines[1:]]
     last = sum(map(len, lines[: 1 + times.index(times[-1])]))
@@ -325,12 +325,12 @@ def test_nothing_that_was_acknowledged_is_lost_with_the_server(whole, tmp_path):
             assert (out / JOURNAL).read_bytes() == left[: left.rindex(b"\n") + 1]
             person.take()
             person.serve(lambda number: (number + 1) % 3)
-        person.session.record.close()
+        person.session.recorder.close()
         log = read_log(out / JOURNAL)
         assert same(log.events[: len(kept)], kept)
         said = answers(log.events)
         assert said[:count] == [given[:2] for given in whole.acknowledged[:count]]
-        # An answer may be on the disk that its giver has not heard of yet.
+        # An answer may be on the disk that was not acknowledged yet.
         assert said[len(answers(kept)) :] == [given[:2] for given in person.acknowledged]
         assert same(read_log(out).events, log.events)
         assert same(replayed(out, tmp_path / f"replay {count}"), log.events)
@@ -342,10 +342,10 @@ def test_folders_that_hold_a_session_are_not_taken(closed, tmp_path):
     for name in (JOURNAL, TABLE):
         (tmp_path / name).write_bytes(b"")
         with pytest.raises(BadInput, match=f"{name} exists; expected a new folder, or --resume"):
-            SessionSpec.of(toy(tmp_path))
+            SessionSpec.load(toy(tmp_path))
         (tmp_path / name).unlink()
     with pytest.raises(BadInput, match="exists"):
-        SessionSpec.of(toy(folder))
+        SessionSpec.load(toy(folder))
     with pytest.raises(BadInput, match="the session has ended; there is nothing to resume"):
         Person(toy(folder, resume=True))
     assert {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()} == before
@@ -362,7 +362,7 @@ def with_head(journal: Path, folder: Path, change) -> Path:
     return folder
 
 
-def test_a_session_goes_on_as_it_was_or_not_at_all(whole, tmp_path):
+def test_a_session_is_resumed_as_it_was_or_not_at_all(whole, tmp_path):
     out = with_head(whole.journal, tmp_path / "as it was", lambda head: None)
     before = (out / JOURNAL).read_bytes()
     for changes in ({"seed": 7}, {"robots": 3}, {"tasks": 5}, {"speed": 3.0}, {"patience": 7.0}):
@@ -370,9 +370,9 @@ def test_a_session_goes_on_as_it_was_or_not_at_all(whole, tmp_path):
         with pytest.raises(
             BadInput, match=rf"^{name}: .*, but .* was recorded with .*leave it out"
         ):
-            SessionSpec.of(toy(out, resume=True, **changes))
-    # What is not said is as recorded; where it listens is its own.
-    spec = SessionSpec.of(ConsoleConfig(out=out, resume=True, port=0, host="0.0.0.0"))
+            SessionSpec.load(toy(out, resume=True, **changes))
+    # Settings that are not given are as recorded; host and port are those of the new server.
+    spec = SessionSpec.load(ConsoleConfig(out=out, resume=True, port=0, host="0.0.0.0"))
     assert spec.config == toy(out, resume=True, port=0, host="0.0.0.0")
     assert spec.start_ns == read_log(out / JOURNAL).events[-1].time_ns
 
@@ -391,7 +391,7 @@ def test_a_session_goes_on_as_it_was_or_not_at_all(whole, tmp_path):
     def lacking(head):
         del head["settings"]["patience"]
 
-    for change, words in (
+    for change, message in (
         (version, "recorded with another versions than there is now"),
         (device, "recorded with another device than there is now"),
         (settings, "settings that cannot be used"),
@@ -400,12 +400,12 @@ def test_a_session_goes_on_as_it_was_or_not_at_all(whole, tmp_path):
     ):
         other = with_head(whole.journal, tmp_path / change.__name__, change)
         with pytest.raises(BadInput) as caught:
-            SessionSpec.of(ConsoleConfig(out=other, resume=True))
-        assert words in str(caught.value) and str(other) in str(caught.value)
+            SessionSpec.load(ConsoleConfig(out=other, resume=True))
+        assert message in str(caught.value) and str(other) in str(caught.value)
     assert (out / JOURNAL).read_bytes() == before
 
 
-def test_a_session_that_went_another_way_does_not_go_on(whole, tmp_path):
+def test_a_session_with_other_events_is_not_resumed(whole, tmp_path):
     out = with_head(whole.journal, tmp_path / "out", lambda head: None)
     lines = (out / JOURNAL).read_bytes().splitlines(keepends=True)
     number = next(n for n, text in enumerate(lines) if b'"iteration"' in text)
@@ -423,10 +423,10 @@ def test_a_session_that_went_another_way_does_not_go_on(whole, tmp_path):
 
 def test_there_is_nothing_to_resume(tmp_path):
     with pytest.raises(BadInput, match="no such file"):
-        SessionSpec.of(toy(tmp_path, resume=True))
+        SessionSpec.load(toy(tmp_path, resume=True))
     (tmp_path / JOURNAL).write_bytes(b'{"what": "pgf_jax ses')
     with pytest.raises(BadInput, match="is empty, expected an event log"):
-        SessionSpec.of(toy(tmp_path, resume=True))
+        SessionSpec.load(toy(tmp_path, resume=True))
 
 
 def test_a_horizon_ends_a_session(tmp_path):
@@ -434,7 +434,7 @@ def test_a_horizon_ends_a_session(tmp_path):
     with person:
         person.take()
         person.join()
-    person.session.record.close()
+    person.session.recorder.close()
     assert person.events[-1].time_ns == 40 * S
     assert person.events[-1].outcome == "censored"
     assert same(read_log(tmp_path / "session" / JOURNAL).events, person.events)
@@ -449,8 +449,8 @@ def test_a_horizon_ends_a_session(tmp_path):
 def test_simulated_operators_are_watched(tmp_path):
     person = Person(toy(tmp_path / "session", operator="none", speed=1000.0))
     with person:
-        person.join()  # nobody has to come
-    person.session.record.close()
+        person.join()  # the clock starts without an operator
+    person.session.recorder.close()
     assert {event.outcome for event in person.events if event.kind is EventKind.SERVICE_END} <= {
         "go_on", "expired"
     }  # fmt: skip
@@ -463,12 +463,12 @@ def test_a_replay_is_watched(closed, tmp_path):
                                   policy="asking", engine="phantom", lanes=4, rollout_time=6.0,
                                   speed=1000.0))  # fmt: skip
     with person:
-        # Whoever takes a seat changes nothing.
+        # A client that operates changes nothing.
         assert person.take().ok
         assert not person.act(lambda panel: panel.go_on(ME)).ok
         person.session.leave(ME)
         person.join()
-    person.session.record.close()
+    person.session.recorder.close()
     assert same(person.events, closed.events)
     assert same(read_log(tmp_path).events, closed.events)
 
@@ -477,7 +477,7 @@ def test_a_replay_is_watched(closed, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "message"),
     [
         ({"robots": 0}, "robots: expected a whole number within 1..100, got 0"),
         ({"robots": 101}, "robots: expected a whole number within 1..100, got 101"),
@@ -508,13 +508,13 @@ def test_a_replay_is_watched(closed, tmp_path):
         ({"random_winner": 2.0}, "random_winner"),
     ],
 )
-def test_settings_that_cannot_be_used(changes, words):
+def test_settings_that_cannot_be_used(changes, message):
     with pytest.raises(BadInput) as caught:
         ConsoleConfig(**changes)
-    assert str(caught.value).startswith(words) and "\n" not in str(caught.value)
+    assert str(caught.value).startswith(message) and "\n" not in str(caught.value)
 
 
-def test_nobody_can_say_beforehand_what_a_person_will_say():
+def test_a_live_session_has_no_oracle():
     with pytest.raises(BadInput, match="oracle-gain"):
         ConsoleConfig(policy="oracle-gain")
 

@@ -1,4 +1,4 @@
-"""The study's stored data, and what is made from it. Running the study is not tested here."""
+"""The stored data of the study, and what is made from them; the study itself is not run here."""
 
 import importlib
 import json
@@ -11,16 +11,14 @@ import pytest
 
 from pgf_jax.sweeping.config import SweepConfig
 
-EXPERIMENTS = Path(__file__).parents[1] / "experiments"
-STORED = EXPERIMENTS / "results"
+STORED = Path(__file__).parents[2] / "experiments" / "results"
 STUDIES = ("figure6", "open_questions")
 
 
 @pytest.fixture(autouse=True)
-def scripts(monkeypatch):
-    """Scripts import one another by name."""
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    monkeypatch.setenv("NPROC", "1")  # `study_runs` sets it otherwise, for the tests after it too
+def own_environment(monkeypatch):
+    """Undo after each test what `study_runs` sets in the environment."""
+    monkeypatch.setenv("NPROC", "1")
 
 
 @pytest.mark.parametrize("study", STUDIES)
@@ -35,7 +33,7 @@ def test_tables_and_figures_come_from_the_stored_rows(study, tmp_path):
 @pytest.mark.parametrize("study", STUDIES)
 def test_every_run_of_the_study_is_stored(study, tmp_path, monkeypatch):
     script = importlib.import_module(study)
-    if study == "figure6":  # pairs that do not ship are left out where they are not there
+    if study == "figure6":  # runs with pairs that are not there would be left out
         monkeypatch.setattr(script, "PAIRS", dict.fromkeys(script.PAIRS, tmp_path))
     runs = script.runs(quick=False)
     rows = pl.read_csv(STORED / f"{study}.csv", infer_schema_length=None)
@@ -75,7 +73,7 @@ def test_rows_come_from_the_cells_of_a_sweep(tmp_path, capsys):
     some = [runs.Run({"what": f"seed {seed}"}, replace(config, seed=seed)) for seed in (3, 4)]
     for _ in range(2):  # the second time all is there
         runs.compute("x", some, tmp_path, tmp_path / "raw")
-        rows = runs.read("x", tmp_path)
+        rows = importlib.import_module("study_rows").read("x", tmp_path)
         assert rows.select("what", "seed", "policy", "robots").rows() == [
             (f"seed {seed}", seed, policy, robots)
             for seed in (3, 4)
@@ -88,15 +86,15 @@ def test_rows_come_from_the_cells_of_a_sweep(tmp_path, capsys):
 
 
 def test_intervals_are_over_seeds():
-    runs = importlib.import_module("study_runs")
+    rows = importlib.import_module("study_rows")
     ours = pl.DataFrame({"seed": [0, 1, 2], "time": [1.0, 2.0, 3.0], "success": [1.0, 1.0, 0.9]})
     theirs = pl.DataFrame({"seed": [2, 1, 0], "time": [5.0, 3.0, 1.5], "success": [1.0] * 3})
-    found = runs.difference(ours, theirs, "time")
+    found = rows.difference(ours, theirs, "time")
     assert found.mean == pytest.approx((-0.5 - 1.0 - 2.0) / 3) and found.n == 3
     # t(0.975, 2 dof) = 4.303
     half = 4.303 * (7 / 12) ** 0.5 / 3**0.5
     assert found.high - found.mean == pytest.approx(half, rel=1e-3)
-    rate = runs.over_seeds(ours, "success")
+    rate = rows.over_seeds(ours, "success")
     assert rate.high == 1.0 and 0.8 < rate.low < rate.mean == pytest.approx(2.9 / 3)
     with pytest.raises(AssertionError, match="one fleet a seed"):
-        runs.over_seeds(pl.concat([ours, ours]), "time")
+        rows.over_seeds(pl.concat([ours, ours]), "time")

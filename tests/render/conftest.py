@@ -5,7 +5,7 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def own_environment(monkeypatch, tmp_path):
-    """What `main` sets for its process is undone after each test."""
+    """Undo after each test what `main` sets in the environment of its process."""
     for name in (
         "NPROC",
         "JAX_COMPILATION_CACHE_DIR",

@@ -1,4 +1,4 @@
-"""`pgf-jax render`: its files, and one line for every kind of bad input."""
+"""The command `pgf-jax render`: its files, and one line for every kind of bad input."""
 
 from pathlib import Path
 
@@ -13,11 +13,11 @@ from pgf_jax.errors import BadInput
 from pgf_jax.plans.file import save_plan
 from pgf_jax.render.command import render
 from pgf_jax.render.config import RenderConfig
-from pgf_jax.simulation import runner
+from pgf_jax.sweeping import replay
 
 SESSION_S = 10.0  # robot 1 is served within 4..6 s; tasks 0 and 1 of 5 s each
 SMALL = (320, 240)
-asked: list[float] = []  # times of the snapshots that were taken of the session, s
+snapshot_times: list[float] = []  # of the session, in the order in which they were taken, s
 
 
 @pytest.fixture
@@ -27,21 +27,21 @@ def plan_file(tmp_path) -> Path:
 
 @pytest.fixture
 def session(tmp_path, monkeypatch) -> Path:
-    """A recorded session of three robots, made up; the file only has to be there."""
+    """A made-up session of three robots; its file is empty, because `snapshots` is replaced."""
 
     def snapshots(path, *, every_ns, start_ns=0, stop_ns=None):
         assert path == file
         time_ns = start_ns
         while time_ns <= min(SESSION_S * 1e9, stop_ns or np.inf):
             s = time_ns / 1e9
-            asked.append(s)
+            snapshot_times.append(s)
             yield fleet(3, 1 if 4 <= s < 6 else None, time_s=s, task=int(s >= 5))
             time_ns += every_ns
 
     file = tmp_path / "events.jsonl"
     file.write_bytes(b"")
-    asked.clear()
-    monkeypatch.setattr(runner, "snapshots", snapshots)
+    snapshot_times.clear()
+    monkeypatch.setattr(replay, "snapshots", snapshots)
     return file
 
 
@@ -78,9 +78,9 @@ def test_a_plan_is_filmed(plan_file, tmp_path):
 def test_a_fleet_is_drawn_when_somebody_is_first_served(session, tmp_path):
     out = tmp_path / "a.png"
     render(RenderConfig("fleet", session, out, size=SMALL))
-    assert asked[-1] == 4.0 and out.is_file()
+    assert snapshot_times[-1] == 4.0 and out.is_file()
     render(RenderConfig("fleet", session, out, at=9.0, size=SMALL))
-    assert asked[-1] == 9.0
+    assert snapshot_times[-1] == 9.0
 
 
 def test_a_fleet_is_filmed(session, tmp_path):
@@ -101,15 +101,15 @@ def test_a_task_is_filmed_as_long_as_it_lasts(session, tmp_path):
         )
         render(config)
         assert film_size(out)[1] == (5, 6)[task]
-        assert first in asked
+        assert first in snapshot_times
 
 
 def test_a_task_is_drawn_when_it_is_first_served_or_at_last(session, tmp_path):
     config = RenderConfig("task", session, tmp_path / "a.png", robot=1, size=SMALL)
     render(config)
-    assert asked[-1] == 4.0
+    assert snapshot_times[-1] == 4.0
     render(RenderConfig("task", session, tmp_path / "b.png", robot=0, size=SMALL))  # never served
-    assert asked[-1] == 5.0  # where its next task began
+    assert snapshot_times[-1] == 5.0  # where its next task began
 
 
 BAD = {
@@ -130,7 +130,10 @@ BAD = {
         ["plan", "FILE", "--out", "a.mp4", "--start", "3", "--stop", "2"],
         "--stop: expected more than start 3, got 2",
     ),
-    "speed": (["plan", "FILE", "--out", "a.mp4", "--speed", "0"], "--speed: expected a positive"),
+    "speed": (
+        ["plan", "FILE", "--out", "a.mp4", "--speed", "0"],
+        "--speed: expected a number above 0, got 0.0",
+    ),
     "fps": (["plan", "FILE", "--out", "a.mp4", "--fps", "0"], "--fps: expected a whole number"),
     "size": (["plan", "FILE", "--out", "a.png", "--size", "10", "800"], "--size: expected a whole"),
     "view": (["plan", "FILE", "--out", "a.png", "--view", "4d"], "--view: expected one of 3d, top"),

@@ -1,4 +1,4 @@
-"""A plan in time: what its engine says, and the retreat that every executor knows."""
+"""The motion of a plan: what its engine simulates, and the retreat after each push."""
 
 import dataclasses
 import math
@@ -22,7 +22,7 @@ def motion() -> Motion:
 
 
 def roll(world: World, controls, gripper, substeps: int) -> World:
-    """The world after a rollout as planned: 8 knots in one go."""
+    """The world after a rollout of 8 knots in one call, as in planning."""
     engine = make_engine("native", n_objects=3, threads=1)
     start = World(*(np.asarray(value)[None] for value in world))
     out = engine.rollout(start, controls[None], np.asarray(gripper)[None], substeps)

@@ -1,4 +1,4 @@
-"""Files of pictures and films."""
+"""The files of pictures and films."""
 
 import sys
 

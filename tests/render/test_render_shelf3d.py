@@ -1,4 +1,4 @@
-"""The view in three dimensions; skipped where there is no EGL."""
+"""The view in three dimensions; skipped on computers without EGL."""
 
 import sys
 from typing import Any
@@ -10,13 +10,13 @@ from render_cases import OBJECTS, PATH, fleet, robot
 from pgf_jax.errors import BadInput
 from pgf_jax.planning.types import Push
 from pgf_jax.render import fleet_view
-from pgf_jax.render.shelf3d import ShelfView
+from pgf_jax.render.shelf3d import View3d
 
 
 @pytest.fixture(scope="module")
 def view():
     try:
-        view = ShelfView()
+        view = View3d()
     except BadInput as error:
         pytest.skip(str(error))
     yield view
@@ -24,7 +24,7 @@ def view():
 
 
 def green(picture: np.ndarray) -> np.ndarray:
-    """[n, 2] rows and columns of the goal."""
+    """[n, 2] rows and columns of the pixels of the goal."""
     red, green, blue = np.moveaxis(picture.astype(int), -1, 0)
     return np.argwhere((green > 1.5 * red) & (green > 1.5 * blue))
 
@@ -63,7 +63,7 @@ def test_push_path_and_hand_are_drawn(view):
     np.testing.assert_array_equal(view.shelf(robot(), 320, 260), plain)
 
 
-def test_one_view_draws_any_size_and_the_wall(view):
+def test_one_view_draws_any_size_and_a_fleet(view):
     for width, height in [(700, 500), (60, 50), (300, 420)]:
         assert view.shelf(robot(), width, height).shape == (height, width, 3)
     assert fleet_view.draw(fleet(4, 1), (480, 300), view).shape == (300, 480, 3)
@@ -75,7 +75,7 @@ def test_any_number_of_objects_is_drawn(view):
 
 
 def test_a_closed_view_draws_nothing_more(view):
-    other = ShelfView()
+    other = View3d()
     other.shelf(robot(), 64, 64)
     other.close()
     other.close()
@@ -87,5 +87,5 @@ def test_a_closed_view_draws_nothing_more(view):
 def test_without_egl_there_is_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco.egl", None)
     with pytest.raises(BadInput, match=r"view 3d: needs EGL .*--view top") as caught:
-        ShelfView()
+        View3d()
     assert "\n" not in str(caught.value)

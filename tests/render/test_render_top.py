@@ -1,4 +1,4 @@
-"""The view from above."""
+"""The view of a shelf from above."""
 
 import math
 
@@ -50,7 +50,7 @@ def test_a_push_marks_the_object_and_its_target():
     pushed = view.shelf(robot(push=push), 640, 480)
     assert color_at(pushed, 0.45, 0.20 - 0.65 * RADIUS) == CORRIDOR_OBJECT_COLOR
     plain = view.shelf(robot(), 640, 480)
-    for x, y in [(0.30, 0.30), (0.375, 0.25)]:  # the ghost, the arrow's middle
+    for x, y in [(0.30, 0.30), (0.375, 0.25)]:  # the target, the middle of the arrow
         assert color_at(pushed, x, y) != color_at(plain, x, y)
     there = view.shelf(robot(push=Push(0, *OBJECTS[0])), 640, 480)  # no arrow, and no failure
     assert there.shape == plain.shape

@@ -1,4 +1,4 @@
-"""Judging predictors: figures that can be worked out by hand or by SciPy-free brute force."""
+"""The statistics on predictors, against values worked out by hand or by brute force."""
 
 import itertools
 
@@ -91,7 +91,7 @@ def test_windows_agree_with_every_window_counted(m):
     assert chosen["chance"].to["chance"] == ev.Estimate(1.0, 1.0, 1.0)
 
 
-def test_what_is_reachable_is_nothing_where_the_truth_is_sure_and_chance_where_it_is_noise():
+def test_reachable_regret_is_zero_without_noise_and_that_of_chance_with_noise_alone():
     assert ev.reachable(of_gains(np.arange(10.0)), 4) == 0
     rng = np.random.default_rng(0)
     noise = forks(rng.normal(size=(400, 8)), np.zeros((400, 8)))
@@ -105,16 +105,16 @@ def test_what_is_reachable_is_nothing_where_the_truth_is_sure_and_chance_where_i
     assert ev.reachable(noise, 4) == pytest.approx(chance, rel=0.1)
 
 
-def test_bids_and_calibration_by_hand():
+def test_bid_statistics_and_calibration_by_hand():
     states = of_gains([10.0, 0.5, -20, 30, 0, 50])
     bid = np.array([5.0, 2, 0.5, -1, 0, 100])
-    said = ev.bids(bid, states)
-    assert said.ask_rate == 0.5
-    assert said.pays == 0.5
-    assert said.pays_if_bid == pytest.approx(2 / 3)
-    assert said.pays_if_not == pytest.approx(1 / 3)
-    assert (said.harms_if_bid, said.harms_if_not) == (0, pytest.approx(1 / 3))
-    assert said.gain_if_bid == pytest.approx(60.5 / 3)
+    found = ev.bid_statistics(bid, states)
+    assert found.ask_rate == 0.5
+    assert found.pays == 0.5
+    assert found.pays_if_bid == pytest.approx(2 / 3)
+    assert found.pays_if_not == pytest.approx(1 / 3)
+    assert (found.harms_if_bid, found.harms_if_not) == (0, pytest.approx(1 / 3))
+    assert found.gain_if_bid == pytest.approx(60.5 / 3)
     groups = ev.calibration(bid, states, groups=2)
     assert [p for p, _ in groups] == [pytest.approx(-0.5 / 3), pytest.approx(107 / 3)]
     assert [t.value for _, t in groups] == [pytest.approx(10 / 3), pytest.approx(60.5 / 3)]

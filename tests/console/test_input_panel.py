@@ -1,4 +1,4 @@
-"""The desk: who operates, and how a push is picked. What is refused changes nothing."""
+"""The input panel: who operates, and how a push is picked; refused actions change nothing."""
 
 import math
 
@@ -38,30 +38,30 @@ def view(objects=OBJECTS, goal=GOAL) -> View:
 
 
 class Service:
-    """A robot that is being served, and what it was told."""
+    """A request of a robot that is being served, and the inputs it was given."""
 
     def __init__(self, robot: int = ROBOT, request: int = 0, **changes) -> None:
         self.given: list = []
-        self.asked = InputRequest(robot, 0, request, view(**changes), self.given.append)
+        self.request = InputRequest(robot, 0, request, view(**changes), self.given.append)
 
 
-def seated(service: Service | None = None) -> InputPanel:
+def operated_panel(service: Service | None = None) -> InputPanel:
     panel = InputPanel()
     assert panel.take(ME).ok
     if service is not None:
-        panel.open(service.asked)
+        panel.open(service.request)
     return panel
 
 
 def state(panel: InputPanel) -> tuple:
-    return panel.operator, panel.asked, panel.object, panel.target, panel.problem
+    return panel.operator, panel.pending, panel.object, panel.target, panel.problem
 
 
-def refused(panel: InputPanel, do, words: str) -> None:
-    """What is refused says why, in a line, and changes nothing."""
+def refused(panel: InputPanel, do, text: str) -> None:
+    """Check that an action is refused with a message, and changes nothing."""
     before = state(panel)
-    word = do()
-    assert (word.text, word.ok, word.answered) == (words, False, False)
+    feedback = do()
+    assert feedback == Feedback(text, ok=False)
     assert state(panel) == before
 
 
@@ -102,11 +102,11 @@ def test_a_client_of_number_0_is_somebody():
 
 
 @pytest.mark.parametrize("act", acts(InputPanel(), 0))
-def test_acts_that_are_not_ones_to_do(act):
+def test_actions_of_clients_that_do_not_operate(act):
     service = Service()
     panel = InputPanel()
     refused(panel, acts(panel, ME)[act], "Nobody operates; you watch.")
-    panel.open(service.asked)
+    panel.open(service.request)
     refused(panel, acts(panel, ME)[act], "Nobody operates; you watch.")
     panel.take(ME)
     panel.click(ME, ROBOT, *OBJECTS[1])
@@ -118,9 +118,9 @@ def test_acts_that_are_not_ones_to_do(act):
     assert service.given == []
 
 
-def test_what_was_picked_is_kept_for_who_comes_next():
+def test_what_was_picked_is_kept_for_the_next_operator():
     service = Service()
-    panel = seated(service)
+    panel = operated_panel(service)
     panel.click(ME, ROBOT, *OBJECTS[0])
     panel.click(ME, ROBOT, 0.3, 0.2)
     panel.leave(ME)
@@ -135,19 +135,17 @@ def test_what_was_picked_is_kept_for_who_comes_next():
 
 def test_a_push_is_picked_by_two_clicks_and_confirmed():
     service = Service()
-    panel = seated(service)
-    word = panel.click(ME, ROBOT, 0.41, 0.01)
-    assert (word.text, word.ok, word.answered) == (
-        "Object 1: now click where it should come to.", True, False
-    )  # fmt: skip
+    panel = operated_panel(service)
+    feedback = panel.click(ME, ROBOT, 0.41, 0.01)
+    assert feedback == Feedback("Object 1: now click where it should come to.")
     assert (panel.object, panel.target) == (0, None)
-    word = panel.click(ME, ROBOT, 0.35, 0.2)
-    assert word.text == "Object 1 to here? Confirm (Enter), or click another place."
+    feedback = panel.click(ME, ROBOT, 0.35, 0.2)
+    assert feedback.text == "Object 1 to here? Confirm (Enter), or click another place."
     assert panel.target == (0.35, 0.2)
     assert panel.click(ME, ROBOT, 0.3, 0.15).ok  # another place
     assert service.given == []
-    word = panel.confirm(ME)
-    assert (word.text, word.ok, word.answered) == ("Object 1 to (0.300, 0.150) m.", True, True)
+    feedback = panel.confirm(ME)
+    assert feedback == Feedback("Object 1 to (0.300, 0.150) m.", answered=True)
     assert service.given == [Push(0, 0.3, 0.15)]
     assert all(type(value) is float for value in (service.given[0].x, service.given[0].y))
     assert state(panel) == (ME, None, None, None, "")
@@ -158,24 +156,24 @@ def test_a_push_is_picked_by_two_clicks_and_confirmed():
 def test_going_on_is_said_at_any_time():
     for clicks in ([], [OBJECTS[0]], [OBJECTS[0], (0.3, 0.2)]):
         service = Service()
-        panel = seated(service)
+        panel = operated_panel(service)
         for place in clicks:
             assert panel.click(ME, ROBOT, *place).ok
-        word = panel.go_on(ME)
-        assert (word.text, word.ok, word.answered) == ("Go on reaching.", True, True)
+        feedback = panel.go_on(ME)
+        assert feedback == Feedback("Go on reaching.", answered=True)
         assert service.given == [None]
         assert state(panel) == (ME, None, None, None, "")
 
 
 def test_nothing_is_confirmed_too_early():
-    panel = seated(Service())
+    panel = operated_panel(Service())
     refused(panel, lambda: panel.confirm(ME), "Pick an object first.")
     panel.click(ME, ROBOT, *OBJECTS[0])
     refused(panel, lambda: panel.confirm(ME), "Pick a place for the object first.")
 
 
 def test_clicks_that_mean_nothing():
-    panel = seated(Service())
+    panel = operated_panel(Service())
     beside = "There is no object there: click an object first."
     refused(panel, lambda: panel.click(ME, ROBOT, 0.35, 0.3), beside)
     refused(panel, lambda: panel.click(ME, ROBOT, -7.0, 0.0), beside)
@@ -192,14 +190,14 @@ def test_clicks_that_mean_nothing():
 
 def test_a_click_means_the_nearest_object_a_little_beside_it_too():
     near = REACH * RADIUS
-    panel = seated(Service())
+    panel = operated_panel(Service())
     assert panel.click(ME, ROBOT, OBJECTS[2][0] - 0.999 * near, OBJECTS[2][1]).ok
     assert panel.object == 2
     panel.undo(ME)
     beside = "There is no object there: click an object first."
     refused(panel, lambda: panel.click(ME, ROBOT, OBJECTS[2][0] - 1.001 * near, -0.2), beside)
     # Two objects that touch: between them it is the nearer one.
-    panel = seated(Service(objects=((0.4, 0.0), (0.4, 0.06), (0.2, 0.0)), goal=2))
+    panel = operated_panel(Service(objects=((0.4, 0.0), (0.4, 0.06), (0.2, 0.0)), goal=2))
     panel.click(ME, ROBOT, 0.4, 0.0299)
     assert panel.object == 0
     panel.undo(ME)
@@ -212,7 +210,7 @@ OUTSIDE = "That is outside the shelf."
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "words"),
+    ("x", "y", "text"),
     [
         (FRONT_X - 1e-6, 0.0, OUTSIDE),
         (BACK_WALL_X + 1e-6, 0.0, OUTSIDE),
@@ -226,23 +224,23 @@ OUTSIDE = "That is outside the shelf."
         (*OBJECTS[1], "Object 2 stands there."),
         (OBJECTS[1][0] - 2 * RADIUS + 1.01 * CLEARANCE, OBJECTS[1][1], "Object 2 stands there."),
         (*OBJECTS[GOAL], "Object 5 stands there."),
-        # All that is left is a place.
+        # All other places are allowed.
         (FRONT_X, 0.0, ""),
         (BACK_WALL_X - RADIUS + 0.99 * CLEARANCE, 0.0, ""),
         (0.45, -SIDE_WALL_Y + RADIUS - 0.99 * CLEARANCE, ""),
         (OBJECTS[1][0] - 2 * RADIUS + 0.99 * CLEARANCE, OBJECTS[1][1], ""),
         (*OBJECTS[0], ""),  # where it stands
-        (OBJECTS[0][0] + 0.01, OBJECTS[0][1], ""),  # it is not in its own way
+        (OBJECTS[0][0] + 0.01, OBJECTS[0][1], ""),  # an object does not block itself
     ],
 )
-def test_places_that_can_be_meant_and_others(x, y, words):
-    panel = seated(Service())
+def test_targets_that_are_allowed_and_others(x, y, text):
+    panel = operated_panel(Service())
     panel.click(ME, ROBOT, *OBJECTS[0])
-    assert target_problem(view(), 0, x, y) == words
-    if words:
-        refused(panel, lambda: panel.click(ME, ROBOT, x, y), words)
+    assert target_problem(view(), 0, x, y) == text
+    if text:
+        refused(panel, lambda: panel.click(ME, ROBOT, x, y), text)
         panel.click(ME, ROBOT, 0.3, 0.2)
-        refused(panel, lambda: panel.click(ME, ROBOT, x, y), words)  # the earlier place stays
+        refused(panel, lambda: panel.click(ME, ROBOT, x, y), text)  # the earlier place stays
         assert panel.target == (0.3, 0.2)
     else:
         assert panel.click(ME, ROBOT, x, y).ok
@@ -252,7 +250,7 @@ def test_places_that_can_be_meant_and_others(x, y, words):
 
 def test_a_shelf_of_one_object():
     service = Service(objects=((0.4, 0.0),), goal=0)
-    panel = seated(service)
+    panel = operated_panel(service)
     panel.next_object(ME)
     assert panel.click(ME, ROBOT, 0.4, 0.0).ok
     panel.next_object(ME)
@@ -263,7 +261,7 @@ def test_a_shelf_of_one_object():
 
 
 def test_undo_takes_back_the_place_then_the_object():
-    panel = seated(Service())
+    panel = operated_panel(Service())
     refused(panel, lambda: panel.undo(ME), "There is nothing to undo.")
     panel.click(ME, ROBOT, *OBJECTS[0])
     panel.click(ME, ROBOT, 0.3, 0.2)
@@ -285,11 +283,11 @@ def test_undo_takes_back_the_place_then_the_object():
 
 
 def test_objects_come_by_their_distance_from_the_hand_the_goal_last():
-    panel = seated(Service())
+    panel = operated_panel(Service())
     seen = []
     for _ in range(2 * len(OBJECTS)):
-        word = panel.next_object(ME)
-        assert word.ok and word.text.startswith(f"Object {panel.object + 1}:")  # pyright: ignore[reportOptionalOperand]
+        feedback = panel.next_object(ME)
+        assert feedback.ok and feedback.text.startswith(f"Object {panel.object + 1}:")  # pyright: ignore[reportOptionalOperand]
         seen.append(panel.object)
     distances = [math.dist(OBJECTS[i], (0.10, 0.0)) for i in FROM_THE_HAND[:-1]]
     assert distances == sorted(distances)
@@ -304,7 +302,7 @@ def test_objects_come_by_their_distance_from_the_hand_the_goal_last():
 
 def test_a_place_is_reached_by_steps():
     service = Service()
-    panel = seated(service)
+    panel = operated_panel(service)
     refused(panel, lambda: panel.nudge(ME, 1, 0), "Pick an object first (Tab, or click it).")
     panel.click(ME, ROBOT, *OBJECTS[0])
     assert panel.nudge(ME, -1, 0).text == "Confirm with Enter."
@@ -319,15 +317,15 @@ def test_a_place_is_reached_by_steps():
     assert (push.object, push.x, push.y) == (0, pytest.approx(0.31), pytest.approx(0.21))
 
 
-def test_steps_may_cross_what_no_push_can_end_in():
-    panel = seated(Service())
+def test_steps_may_cross_targets_that_are_not_allowed():
+    panel = operated_panel(Service())
     panel.click(ME, ROBOT, *OBJECTS[0])
     panel.nudge(ME, 5, 0)
     problems = []
     for _ in range(20):
-        word = panel.nudge(ME, 0, 1)
+        feedback = panel.nudge(ME, 0, 1)
         problems.append(panel.problem)
-        assert word.ok == (not panel.problem) and word.text == (
+        assert feedback.ok == (not panel.problem) and feedback.text == (
             panel.problem or "Confirm with Enter."
         )
         if panel.problem:
@@ -350,11 +348,11 @@ def test_steps_may_cross_what_no_push_can_end_in():
 
 def test_a_new_service_begins_with_nothing_picked():
     first, second = Service(), Service(robot=5, request=2)
-    panel = seated(first)
+    panel = operated_panel(first)
     panel.click(ME, ROBOT, *OBJECTS[0])
     panel.click(ME, ROBOT, 0.3, 0.2)
-    panel.open(second.asked)
-    assert state(panel) == (ME, second.asked, None, None, "")
+    panel.open(second.request)
+    assert state(panel) == (ME, second.request, None, None, "")
     refused(panel, lambda: panel.click(ME, ROBOT, 0.3, 0.2), "Robot 5 asks, not robot 3.")
     panel.close()
     assert state(panel) == (ME, None, None, None, "")
@@ -363,25 +361,25 @@ def test_a_new_service_begins_with_nothing_picked():
 
 def test_no_answer_is_given_for_an_operator_who_gives_none():
     service = Service()
-    panel = seated(service)
+    panel = operated_panel(service)
     panel.click(ME, ROBOT, *OBJECTS[0])
     panel.answer(UNANSWERED)
     assert service.given == [UNANSWERED]
     assert state(panel) == (ME, None, None, None, "")
 
 
-def test_the_desk_is_clear_when_an_answer_has_its_effect():
-    """The fleet may go on at once, and ask for the next robot from within the answer."""
-    panel = seated()
+def test_the_panel_is_clear_when_an_answer_has_its_effect():
+    """The fleet may continue at once, and serve the next robot from within the answer."""
+    panel = operated_panel()
     second = Service(robot=0)
 
     def answer(given):
-        assert panel.asked is None
-        panel.open(second.asked)
+        assert panel.pending is None
+        panel.open(second.request)
 
     panel.open(InputRequest(ROBOT, 0, 0, view(), answer))
     assert panel.go_on(ME).answered
-    assert panel.asked is second.asked
+    assert panel.pending is second.request
 
 
 PLACE = st.one_of(
@@ -402,7 +400,7 @@ ACT = st.one_of(
     st.tuples(st.just("confirm"), CLIENT),
     st.tuples(st.just("go on"), CLIENT),
 )
-# What leads somewhere: an object, then places.
+# Actions that lead to a push: an object, then places.
 USUAL = st.sampled_from(
     [
         *[("click", ME, ROBOT, place) for place in OBJECTS],
@@ -419,7 +417,7 @@ def do(panel: InputPanel, services: list[Service], name: str, client: int, *more
     match name:
         case "open":
             services.append(Service(request=len(services)))
-            return panel.open(services[-1].asked)
+            return panel.open(services[-1].request)
         case "close":
             return panel.close()
         case "take":
@@ -451,26 +449,26 @@ def test_whatever_clients_do(todo):
     for name, client, *more in todo:
         before, operator = state(panel), panel.operator
         counts = [len(service.given) for service in services]
-        word = do(panel, services, name, client, *more)
+        feedback = do(panel, services, name, client, *more)
         after = state(panel)
         intruder = client is not None and client != operator
         if intruder and (name != "take" or operator is not None):
             assert after == before
             assert [len(service.given) for service in services] == counts
-        if isinstance(word, Feedback):
-            assert word.text and "\n" not in word.text
-            if not word.ok:
-                assert not word.answered
+        if isinstance(feedback, Feedback):
+            assert feedback.text and "\n" not in feedback.text
+            if not feedback.ok:
+                assert not feedback.answered
                 # A place on its way through an object moves all the same.
-                crossing = name == "nudge" and panel.problem == word.text
+                crossing = name == "nudge" and panel.problem == feedback.text
                 assert after[:3] == before[:3] if crossing else after == before
-            assert word.answered == (sum(len(s.given) for s in services) > sum(counts))
+            assert feedback.answered == (sum(len(s.given) for s in services) > sum(counts))
         # Each service is answered once at most, and then it is over.
         assert all(len(service.given) <= 1 for service in services)
-        open_ = [service for service in services if service.asked is panel.asked]
-        assert len(open_) == (panel.asked is not None)
+        open_ = [service for service in services if service.request is panel.pending]
+        assert len(open_) == (panel.pending is not None)
         assert all(not service.given for service in open_)
-        if panel.asked is None:
+        if panel.pending is None:
             assert (panel.object, panel.target, panel.problem) == (None, None, "")
         if panel.target is not None:
             assert panel.object is not None

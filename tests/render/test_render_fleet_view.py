@@ -1,4 +1,4 @@
-"""The wall of shelves, and single panels."""
+"""Pictures of a fleet, and of single robots."""
 
 import math
 from typing import Any
@@ -12,14 +12,14 @@ from pgf_jax.planning.types import Push, Status
 from pgf_jax.render import fleet_view
 from pgf_jax.render.chart import CURVE, draw_costs
 from pgf_jax.render.paint import Canvas
-from pgf_jax.render.panel import state_words
+from pgf_jax.render.robot_view import state_text
 from pgf_jax.render.top import TopView
 
 COLORS = [f"#{40 + 3 * i:02x}10{250 - 3 * i:02x}" for i in range(60)]  # of each robot's shelf
 
 
 class Flat:
-    """A view whose shelves are one colour each."""
+    """A view that draws each shelf as one colour."""
 
     def __init__(self) -> None:
         self.drawn: list[tuple[int, int, int]] = []
@@ -73,7 +73,7 @@ def test_cells_lie_side_by_side_within_their_box(robots):
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "text"),
     [
         ({}, "planning"),
         ({"push": Push(0, 0.4, 0.1)}, "planning push"),
@@ -88,8 +88,8 @@ def test_cells_lie_side_by_side_within_their_box(robots):
         ({"state": State.IDLE, "done": (Status.SOLVED,)}, "done"),
     ],
 )
-def test_a_state_has_its_words(changes: dict[str, Any], words):
-    assert state_words(robot(**changes))[0] == words
+def test_a_state_as_text(changes: dict[str, Any], text):
+    assert state_text(robot(**changes)) == text
 
 
 def curve(costs, inputs_at=()) -> np.ndarray:

@@ -1,67 +1,84 @@
-"""One robot's panel: a cell of the wall, or large with all that is known of it."""
+"""Draws one robot: small, as a cell of the fleet's picture, or large with all that is known."""
 
 import math
 
 from pgf_jax.fleet.records import State
+from pgf_jax.planning.config import Cost
 from pgf_jax.planning.types import Status
 from pgf_jax.render.chart import CURVE, FEASIBLE, INPUT, draw_costs
-from pgf_jax.render.paint import CARD, INK, MUTED, RULE, Box, Canvas, Point, text_width
-from pgf_jax.render.view import ASPECT, View
-from pgf_jax.simulation.snapshot import RobotSnapshot
+from pgf_jax.render.paint import (
+    CARD,
+    INK,
+    MUTED,
+    RULE,
+    SHELF_ASPECT,
+    Box,
+    Canvas,
+    Point,
+    text_width,
+)
+from pgf_jax.render.view import ShelfView
+from pgf_jax.simulation.snapshot import STUCK, RobotSnapshot, short_number
 
 PLANNING, PUSH, WAITING = "#3b6fb6", "#7a55b5", "#b97a00"
 SERVED, EXECUTING, DONE = INPUT, "#16808c", "#8a939f"
-_STRIP_FROM_PX = 118  # height of a cell that has a strip with its cost curve
-_STUCK = "stuck"
-_WAITING = (State.IN_WINDOW, State.IN_LINE)
+_STRIP_FROM_PX = 118  # smallest height of a cell with a strip for its cost curve
+_COLORS = {
+    State.IDLE: DONE,
+    State.PLANNING: PLANNING,
+    State.IN_WINDOW: WAITING,
+    State.IN_LINE: WAITING,
+    State.SERVED: SERVED,
+    State.EXECUTING: EXECUTING,
+}
 
 
-def state_words(robot: RobotSnapshot) -> tuple[str, str]:
-    """What a robot does, in words, and the colour of it."""
-    if robot.state is State.PLANNING:
-        return ("planning", PLANNING) if robot.push is None else ("planning push", PUSH)
-    if robot.state is State.EXECUTING:
-        return ("executing" if robot.push is None else "pushing"), EXECUTING
-    if robot.state in _WAITING:
-        words = "bids" if robot.state is State.IN_WINDOW else "waiting"
-        bid = bid_words(robot.bid)
-        return (f"{words}{',' * (bid == _STUCK)} {bid}" if bid else "waiting"), WAITING
-    return ("served", SERVED) if robot.state is State.SERVED else ("done", DONE)
+def state_text(robot: RobotSnapshot) -> str:
+    """The activity of a robot, and its bid while it waits."""
+    if not robot.is_waiting:
+        return robot.activity
+    if robot.bid_text == STUCK:
+        return f"{robot.activity}, {STUCK}"
+    return f"{robot.activity} {bid_text(robot)}" if robot.bid_text else "waiting"
 
 
-def bid_words(bid: float | None) -> str:
-    """A bid in words; empty where there is none."""
-    if bid is None or math.isnan(bid):
-        return ""
-    return _STUCK if math.isinf(bid) else f"G {_number(bid)}"
+def state_color(robot: RobotSnapshot) -> str:
+    """The colour of a robot's state."""
+    planning_push = robot.state is State.PLANNING and robot.push is not None
+    return PUSH if planning_push else _COLORS[robot.state]
+
+
+def bid_text(robot: RobotSnapshot) -> str:
+    """The bid as text, a predicted gain as `G`; empty where there is none."""
+    return robot.bid_text if robot.bid_text in ("", STUCK) else f"G {robot.bid_text}"
 
 
 def strip_height(width: float, height: float) -> float:
-    """Of a cell's lower strip, pixels; 0 where there is no room for one."""
+    """Height of the lower strip of a cell, pixels; 0 if there is no room for a strip."""
     if height < _STRIP_FROM_PX:
         return 0.0
-    spare = height - title_height(height) - width / ASPECT
+    spare = height - title_height(height) - width / SHELF_ASPECT
     return max(min(max(0.21 * height, 30.0), 64.0), min(spare, 0.4 * height))
 
 
 def title_height(height: float) -> float:
-    """Of a cell's title, pixels."""
+    """Height of the title of a cell, pixels."""
     return min(max(0.12 * height, 15.0), 26.0)
 
 
-def draw_cell(canvas: Canvas, box: Box, robot: RobotSnapshot, tasks: int, view: View) -> None:
-    """Draw a robot small: number and state, shelf, and where there is room cost curve and gain.
+def draw_small(canvas: Canvas, box: Box, robot: RobotSnapshot, tasks: int, view: ShelfView) -> None:
+    """Draw a robot small: number, state and shelf, and if there is room cost curve and gain.
 
     Args:
       canvas: to draw on.
-      box: where, pixels.
-      robot: what.
+      box: place on the canvas, pixels.
+      robot: to draw.
       tasks: of each robot.
       view: draws the shelf.
     """
     left, top, right, bottom = box
     height = bottom - top
-    words, color = state_words(robot)
+    color = state_color(robot)
     title, strip = title_height(height), strip_height(right - left, height)
     served = robot.state is State.SERVED
     canvas.rectangle(box, CARD, radius=4, outline=color, width=2.6 if served else 1.2)
@@ -71,7 +88,7 @@ def draw_cell(canvas: Canvas, box: Box, robot: RobotSnapshot, tasks: int, view: 
     number = str(robot.robot)
     canvas.text((left + 0.4 * title, middle), number, 0.74 * title, CARD, bold=True)
     from_left = left + 0.8 * title + text_width(number, 0.74 * title, bold=True)
-    canvas.text((from_left, middle), words, size, CARD, room=right - from_left - 4)
+    canvas.text((from_left, middle), state_text(robot), size, CARD, room=right - from_left - 4)
     _draw_shelf(canvas, (left + 3, top + title + 1, right - 3, bottom - strip - 3), robot, view)
     below = (right - 7, bottom - strip - 4 - 0.35 * title)
     _draw_tasks(canvas, below, 0.55 * title, robot, tasks, INK)
@@ -79,12 +96,12 @@ def draw_cell(canvas: Canvas, box: Box, robot: RobotSnapshot, tasks: int, view: 
         _draw_strip(canvas, (left + 5, bottom - strip, right - 5, bottom - 5), robot)
 
 
-def draw(
+def draw_large(
     canvas: Canvas,
     box: Box,
     robot: RobotSnapshot,
     tasks: int,
-    view: View,
+    view: ShelfView,
     *,
     name: str | None = None,
 ) -> None:
@@ -92,16 +109,17 @@ def draw(
 
     Args:
       canvas: to draw on.
-      box: where, pixels; the curve is beside the shelf where it is wide, else below.
-      robot: what.
+      box: place on the canvas, pixels; the curve is beside the shelf if the box is wide, else
+        below.
+      robot: to draw.
       tasks: of each robot.
       view: draws the shelf.
       name: of the robot; by default its number.
     """
     left, top, right, bottom = box
-    words, color = state_words(robot)
+    state, color = state_text(robot), state_color(robot)
     if tasks == 1 and robot.done:
-        words += f": {robot.done[0].replace('_', ' ')}"
+        state += f": {robot.done[0].replace('_', ' ')}"
     canvas.rectangle(box, CARD, radius=6, outline=color, width=3)
     title = min(max(0.055 * (bottom - top), 28.0), 44.0)
     canvas.rectangle((left, top, right, top + title), color, radius=6)
@@ -110,24 +128,24 @@ def draw(
     name = f"robot {robot.robot}" if name is None else name
     canvas.text((left + pad, middle), name, 0.55 * title, CARD, bold=True)
     from_left = left + 2 * pad + text_width(name, 0.55 * title, bold=True)
-    dots = _draw_tasks(canvas, (right - pad, middle), 0.5 * title, robot, tasks, CARD)
-    canvas.text((from_left, middle), words, 0.5 * title, CARD, room=dots - from_left - 4)
+    signs = _draw_tasks(canvas, (right - pad, middle), 0.5 * title, robot, tasks, CARD)
+    canvas.text((from_left, middle), state, 0.5 * title, CARD, room=signs - from_left - 4)
 
     inner = (left + 10, top + title + 10, right - 10, bottom - 12)
     width, height = inner[2] - inner[0], inner[3] - inner[1]
     if width / height > 1.25:
-        split = inner[0] + min(height * ASPECT, 0.68 * width)
+        split = inner[0] + min(height * SHELF_ASPECT, 0.68 * width)
         _draw_shelf(canvas, (inner[0], inner[1], split, inner[3]), robot, view)
         facts = (split + 16, inner[1], inner[2] - 4, inner[3])
     else:
-        split = inner[1] + min(width / ASPECT, 0.66 * height)
+        split = inner[1] + min(width / SHELF_ASPECT, 0.66 * height)
         _draw_shelf(canvas, (inner[0], inner[1], inner[2], split), robot, view)
         facts = (inner[0] + 2, split + 10, inner[2] - 4, inner[3])
     _draw_facts(canvas, facts, robot, tasks)
 
 
 def _draw_facts(canvas: Canvas, box: Box, robot: RobotSnapshot, tasks: int) -> None:
-    """Lines of what is known, then the curve."""
+    """Write what is known of the robot, one fact a line, and draw the cost curve below."""
     left, top, right, bottom = box
     size = min(max((right - left) / 24, 11.0), 17.0)
     scene = f"{robot.scene}, task {robot.task + 1} of {tasks}" if tasks > 1 else robot.scene
@@ -137,8 +155,8 @@ def _draw_facts(canvas: Canvas, box: Box, robot: RobotSnapshot, tasks: int) -> N
         where = f"{push.object + 1} to ({push.x:.2f}, {push.y:.2f}) m"
         lines.append(("push", where, INK))
     cost = robot.costs[-1] if robot.costs else math.nan
-    lines.append(("cost", _number(cost), FEASIBLE if cost < 20 else INK))
-    gain, bid = _signed(robot.gain), bid_words(robot.bid)
+    lines.append(("cost", _number(cost), FEASIBLE if cost < Cost().feasible_cost else INK))
+    gain, bid = _signed(robot.gain), bid_text(robot)
     lines.append(("predicted gain", gain + (f", bids {bid}" if bid else ""), INK))
     inputs = len(robot.inputs_at)
     lines.append(("inputs", f"{inputs}" + (", stuck" if robot.stuck else ""), INK))
@@ -154,7 +172,7 @@ def _draw_facts(canvas: Canvas, box: Box, robot: RobotSnapshot, tasks: int) -> N
         return
     canvas.text((left, y), "cost after each reach iteration", 0.85 * size, MUTED)
     y += size
-    # A very tall curve would say no more.
+    # A taller curve would show no more.
     chart = (left, y, right, min(bottom, y + 1.1 * (right - left)))
     draw_costs(canvas, chart, robot.costs, robot.inputs_at, size=max(0.75 * size, 9.0))
 
@@ -177,7 +195,7 @@ def _draw_strip(canvas: Canvas, box: Box, robot: RobotSnapshot) -> None:
         canvas.text(at, text, size if len(lines) < 3 else min(size, step), ink, room=right - split)
 
 
-def _draw_shelf(canvas: Canvas, box: Box, robot: RobotSnapshot, view: View) -> None:
+def _draw_shelf(canvas: Canvas, box: Box, robot: RobotSnapshot, view: ShelfView) -> None:
     left, top, right, bottom = (round(v) for v in box)
     if right - left >= 16 and bottom - top >= 16:
         canvas.paste(left, top, view.shelf(robot, right - left, bottom - top))
@@ -187,9 +205,9 @@ def _draw_shelf(canvas: Canvas, box: Box, robot: RobotSnapshot, view: View) -> N
 def _draw_tasks(
     canvas: Canvas, at: Point, size: float, robot: RobotSnapshot, tasks: int, ink: str
 ) -> float:
-    """A sign for each task, or a count where they are many, written up to `at`; returns its left.
+    """Write a sign for each task, or a count if they are many; returns the left end, pixels.
 
-    In text, so that it can stand on a shelf's picture.
+    The signs end at `at`. They are text, because shapes would lie under the shelf's picture.
     """
     if tasks > 8:
         signs = [(f"{len(robot.done)} of {tasks}", ink)]
@@ -209,7 +227,7 @@ def _number(value: float) -> str:
         return "none yet"
     if math.isinf(value):
         return "not finite"
-    return f"{value:.{0 if abs(value) >= 10 else 1 if abs(value) >= 1 else 2}f}"
+    return short_number(value)
 
 
 def _signed(value: float) -> str:

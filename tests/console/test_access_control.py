@@ -1,4 +1,4 @@
-"""Who gets in, and what they may say: by the door's own words, and over real connections."""
+"""Access control: checked request by request, and over real connections."""
 
 import http.client
 import math
@@ -20,7 +20,7 @@ def request(path="/", **headers):
     return Request(path, Headers({"Host": "127.0.0.1:8080"} | headers))
 
 
-# --- the door ---------------------------------------------------------------------------------
+# --- single requests --------------------------------------------------------------------------
 
 
 def test_without_a_token_only_names_of_this_computer_pass():
@@ -62,8 +62,8 @@ def test_a_token_is_asked_for_once_and_checked_every_time(caplog):
         request(Cookie=";;=;"),
         request(Cookie=f"other={access.token}"),
     ]
-    for asked in wrong:
-        refusal = access.check("10.0.0.9", asked)
+    for each in wrong:
+        refusal = access.check("10.0.0.9", each)
         assert refusal is not None and refusal.status_code == 403
     assert caplog.text.count("connection from 10.0.0.9 refused") == len(wrong)
     assert access.token not in caplog.text
@@ -87,8 +87,8 @@ def test_a_bucket_allows_bursts_and_then_its_rate():
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
-    """A console on all addresses of this computer: it asks for a token."""
-    out = tmp_path_factory.mktemp("door") / "s"
+    """A console that listens on all addresses of this computer, and so needs a token."""
+    out = tmp_path_factory.mktemp("access") / "s"
     with console(out, "--robots", "2", "--tasks", "50", "--host", "0.0.0.0") as server:
         yield server
 
@@ -119,7 +119,7 @@ def say(connection: Connection, kind: str, **content) -> None:
 
 
 def look(connection: Connection) -> None:
-    """What a page says first; viser takes a client for connected from then on."""
+    """Send the first message of a page, with which viser counts a client as connected."""
     say(
         connection,
         "ViewerCameraMessage",
@@ -171,7 +171,7 @@ def test_nobody_gets_in_without_the_token(server):
     assert "a wrong token" in server.log() and "no token" in server.log()
 
 
-def test_what_makes_no_sense_is_refused_and_the_fleet_keeps_planning(server):
+def test_malformed_messages_are_refused_and_the_fleet_keeps_planning(server):
     with join(server, token(server)) as operator:
         look(operator)
         keeps_planning(server)
@@ -191,18 +191,18 @@ def test_what_makes_no_sense_is_refused_and_the_fleet_keeps_planning(server):
                         client.recv(timeout=30)
         with join(server, token(server)) as client:
             look(client)
-            # What viser would do for anybody: open a tunnel to the world.
+            # Without the check, viser would open a public tunnel.
             say(client, "ShareUrlRequest")
             say(client, "NoSuchMessage")
-            # A message that viser knows, with something else in it.
+            # Messages of a known type with malformed content.
             click(client, ray_origin=None)
             click(client, ray_direction="up")
             click(client, ray_direction=(0.0, 0.0, float("nan")))
             click(client, ray_direction=(1.0, 0.0, 0.0))
             say(client, "GuiUpdateMessage", uuid="none", updates={"value": True})
             say(client, "CommandTriggerMessage", uuid="none")
-            wait_for(lambda: "may not say 'ShareUrlRequest'" in server.log())
-            wait_for(lambda: "may not say 'NoSuchMessage'" in server.log())
+            wait_for(lambda: "may not send 'ShareUrlRequest'" in server.log())
+            wait_for(lambda: "may not send 'NoSuchMessage'" in server.log())
         keeps_planning(server)
         assert server.log().count("malformed message") == 5
 
@@ -216,9 +216,9 @@ def test_a_second_operator_and_a_flood_are_refused_and_the_fleet_keeps_planning(
         for i in range(600):
             click(other, ray_direction=(math.sin(i) / 9, math.cos(i) / 9, -1.0))
         wait_for(lambda: "acts too fast: refused" in server.log())
-        wait_for(lambda: "sends too much: slowed" in server.log())
+        wait_for(lambda: "sends too many messages: slowed" in server.log())
         keeps_planning(server)
-        # An intruder gave no answer; nobody else did meanwhile.
+        # The second client gave no answer, and neither did the operator.
         ends = [e for e in server.events() if e["kind"] == "service_end"]
         assert [e["outcome"] for e in ends[answered:] if e["outcome"] in ("push", "go_on")] == []
 
