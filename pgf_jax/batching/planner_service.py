@@ -1,4 +1,8 @@
-"""Computes planner requests in calls of fixed shape."""
+"""Computes planner requests in calls of fixed shape: L lanes, padded where there are fewer.
+
+A lane's result does not depend on what is in the other lanes. So no robot's result depends on who
+shares its call.
+"""
 
 import copy
 import functools
@@ -19,7 +23,7 @@ from pgf_jax.planning.planner import BatchPlanner, Rolled, Search
 
 
 class PlannerService:
-    """Engine and planner of one process.
+    """An engine and a planner that compute the requests of all robots of a process.
 
     Args:
       engine: rolls out L lanes of K rollouts at a time.
@@ -33,7 +37,7 @@ class PlannerService:
         self.calls = 0  # iteration calls made
         self.lanes_used = 0  # lanes in them that held work
         self.seconds = 0.0  # of the wall clock spent in `compute`
-        self.answering_s = 0.0  # that, and what was thought between requests (`crew.drive`)
+        self.answering_s = 0.0  # that, and the coroutines' own time between requests (`run_fleets`)
         self.warm: list[bool] = []  # shared by copies: whether its programs are compiled
         self._keys = jax.jit(jax.vmap(_key))
 
@@ -51,7 +55,7 @@ class PlannerService:
     def compute(self, requests: Sequence[Request]) -> list[Any]:
         """Results of requests, in order: a `Search` of each step, a `World` of each retreat.
 
-        A `Gain` gives a float.
+        A `PredictGain` gives a float.
         """
         start = time.perf_counter()
         try:
@@ -83,7 +87,7 @@ class PlannerService:
         return results
 
     def rolled(self, step: Step) -> tuple[Search, Rolled]:
-        """An iteration, and all that it rolls out; to look at it again, so it counts nowhere."""
+        """Compute an iteration and return all of its rollouts too; it counts in no statistics."""
         return self.planner.rolled(step.search, self._keys_of([step])[0])
 
     def _iterate(self, steps: Sequence[Step]) -> list[Any]:
@@ -93,16 +97,16 @@ class PlannerService:
         return self.planner.step([step.search for step in steps], self._keys_of(steps))
 
     def _keys_of(self, steps: Sequence[Step]) -> list[np.ndarray]:
-        words = [step.key_path for step in steps]
-        words += [words[0]] * (self.engine.lanes - len(steps))
-        return list(np.asarray(self._keys(np.array(words, np.uint32)))[: len(steps)])
+        paths = [step.key_path for step in steps]
+        paths += [paths[0]] * (self.engine.lanes - len(steps))
+        return list(np.asarray(self._keys(np.array(paths, np.uint32)))[: len(steps)])
 
 
 def warm_up(planner_service: PlannerService, search: Search, seed: int) -> float:
-    """One iteration for nobody, so that its compilation is not mistaken for its time.
+    """Compile the programs by one iteration whose result is not used.
 
     Returns:
-      What it took, s: 0 where a computer of this kind has been warmed up before.
+      The time that it took, s; 0 where a service with the same programs has been warmed up before.
     """
     if planner_service.warm:
         return 0.0
@@ -116,10 +120,7 @@ def warm_up(planner_service: PlannerService, search: Search, seed: int) -> float
 
 
 def planner_service_of(config: Planning, n_objects: int) -> PlannerService:
-    """A computer for the engine, physics, cost, update and lanes of `config`.
-
-    What it compiles is kept: a second one of the same settings traces nothing again.
-    """
+    """The planner service for the engine, physics, cost, update and lanes of `config`."""
     planner = PlannerConfig(update=config.update, cost=Cost(variant=config.cost))
     return make_planner_service(
         config.engine, config.physics, planner, config.lanes or 1, n_objects
@@ -129,7 +130,10 @@ def planner_service_of(config: Planning, n_objects: int) -> PlannerService:
 def make_planner_service(
     engine: str, physics: str, planner: PlannerConfig, lanes: int, n_objects: int
 ) -> PlannerService:
-    """A computer with counters of its own; what it compiles is kept for the next of its kind."""
+    """A planner service with counters of its own.
+
+    Its compiled programs are kept: a second service of the same settings traces nothing again.
+    """
     return copy.copy(_compiled(engine, physics, planner, lanes, n_objects))
 
 
@@ -142,10 +146,11 @@ def _compiled(
     )
 
 
-def _key(words: jax.Array) -> jax.Array:
+def _key(path: jax.Array) -> jax.Array:
+    """[5] key path -> [2] key, each number folded in."""
     key = jax.random.key(0)
-    for word in words:
-        key = jax.random.fold_in(key, word)
+    for number in path:
+        key = jax.random.fold_in(key, number)
     return jax.random.key_data(key).astype(jnp.uint32)
 
 

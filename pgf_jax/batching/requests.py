@@ -1,4 +1,12 @@
-"""Requests for computation, and coroutines that yield them."""
+"""Requests for computation, and the coroutines that yield them.
+
+A coroutine here is a generator: it yields lists of requests, is sent the list of their results, and
+returns what it was started for. The scheduler runs many coroutines side by side and puts their
+requests into the same calls of the engine.
+
+The key of an iteration is the path (seed, robot, task, iteration, purpose), folded into a JAX key
+word by word. So a result depends on whose it is, and not on the batch in which it is computed.
+"""
 
 from collections.abc import Callable, Generator, Hashable, Sequence
 from typing import Any, NamedTuple, Protocol
@@ -7,98 +15,93 @@ import numpy as np
 
 from pgf_jax.planning.planner import Search
 
+NOISE = 0  # purpose of a robot's own noise; the purposes of trials come after it
+TRIAL_STEPS = 256  # iterations that one trial may take: each has a purpose of its own
+
+KeyPath = tuple[int, int, int, int, int]  # seed, robot, task, iteration, purpose
+KeyPaths = Callable[[int], KeyPath]  # of the iterations of one search: step -> key path
+
 
 class GainPredictor(Protocol):
-    """Says what robots may bid."""
+    """Predicts what robots may bid."""
 
     def gain(self, states: np.ndarray) -> np.ndarray:
-        """[B, S] states (`guidance.state`) -> [B]; nan where a state lacks what it takes."""
+        """[B, S] states (`predictors.features`) -> [B]; nan where a state lacks a feature."""
         ...
 
 
-NOISE = 0  # purpose of a robot's own noise; the trials' purposes come after it
-
-
-TRIAL_STEPS = 256  # iterations that one trial may take, for the purposes of its keys
-
-
 class Step(NamedTuple):
-    """One iteration of a search; its result is the `Search` after it."""
+    """Request for one iteration of a search; its result is the `Search` after it."""
 
     search: Search
-    key_path: tuple[int, int, int, int, int]  # of its key: seed, robot, task, iteration, purpose
+    key_path: KeyPath
 
 
 class Retreat(NamedTuple):
-    """The retreat after a push that was found; its result is the `World` then."""
+    """Request for the retreat after a push that was found; its result is the `World` after it."""
 
     search: Search
 
 
 class PredictGain(NamedTuple):
-    """What a robot may bid; its result is a float."""
+    """Request for the number that a robot may bid; its result is a float."""
 
     predictor: GainPredictor
-    state: np.ndarray  # [S], see `guidance.state`
+    state: np.ndarray  # [S], see `predictors.features`
 
 
 class Memoised(NamedTuple):
-    """What others may ask for as well: the first who does has it made, all are sent the result."""
+    """Memoised request: computed once, its result is shared by all callers."""
 
-    cache: dict[Hashable, Any]  # whoever answers keeps results here, and who waits for them
+    cache: dict[Hashable, Any]  # of the scheduler: results, and who waits for them
     key: Hashable
-    make: "Callable[[], Coroutine]"
+    make: "Callable[[], Coroutine]"  # computes it
 
 
 class External(NamedTuple):
-    """Something from outside the computer, such as a person's answer; it comes in its own time."""
+    """Result delivered later by a callback, for example a person's answer."""
 
     subscribe: Callable[[Callable[[Any], None]], None]  # is given what to call with the result
 
 
 Request = Step | Retreat | PredictGain | Memoised | External
-
-
 Coroutine = Generator[list[Request], list[Any], Any]
 
 
-KeyPath = Callable[[int], tuple[int, int, int, int, int]]
-
-
-def robot_key_path(seed: int, robot: int, task: int, iteration: int) -> KeyPath:
-    """Keys that the robot itself will use from iteration `iteration` on: step -> words."""
+def robot_key_path(seed: int, robot: int, task: int, iteration: int) -> KeyPaths:
+    """Key paths that the robot itself will use from iteration `iteration` on."""
     return lambda step: (seed, robot, task, iteration + step, NOISE)
 
 
-def trial_key_path(seed: int, robot: int, task: int, iteration: int, number: int) -> KeyPath:
-    """Keys of trial number `number` (0-based) made when the robot had done `iteration` iterations.
+def trial_key_path(seed: int, robot: int, task: int, iteration: int, number: int) -> KeyPaths:
+    """Key paths of trial number `number` (0-based), made after `iteration` iterations.
 
-    No robot plans with them, nor any other trial.
+    Neither a robot nor another trial uses them.
     """
     purpose = NOISE + 1 + number * TRIAL_STEPS
     return lambda step: (seed, robot, task, iteration, purpose + step)
 
 
-def gather(deliberations: Sequence[Coroutine]) -> Coroutine:
-    """Run deliberations side by side, their requests in one list; returns their results, in order.
+def gather(coroutines: Sequence[Coroutine]) -> Coroutine:
+    """Run coroutines side by side, their requests in one list; returns their results, in order.
 
-    Each goes on when the requests of all have been answered: how far one gets depends on itself
-    alone, so the results do as well.
+    Each goes on when the requests of all have been answered. How far one gets depends on itself
+    alone, so its result does as well.
     """
-    results: list[Any] = [None] * len(deliberations)
-    asked: dict[int, list[Request]] = {}
+    results: list[Any] = [None] * len(coroutines)
+    pending: dict[int, list[Request]] = {}
 
     def resume(i: int, answers: list[Any] | None) -> None:
         try:
-            asked[i] = deliberations[i].send(answers)  # pyright: ignore[reportArgumentType]
+            pending[i] = coroutines[i].send(answers)  # pyright: ignore[reportArgumentType]
         except StopIteration as end:
-            asked.pop(i, None)
+            pending.pop(i, None)
             results[i] = end.value
 
-    for i in range(len(deliberations)):
+    for i in range(len(coroutines)):
         resume(i, None)
-    while asked:
-        order = list(asked.items())
+    while pending:
+        order = list(pending.items())
         answers = yield [request for _, requests in order for request in requests]
         start = 0
         for i, requests in order:

@@ -1,4 +1,10 @@
-"""Collects the requests of many coroutines into calls of fixed shape."""
+"""Dynamic batching of the requests of many coroutines.
+
+scheduler = BatchScheduler(planner_service)
+scheduler.submit(coroutine, on_result)
+while len(scheduler):
+    scheduler.run_batch()
+"""
 
 import contextlib
 import functools
@@ -8,135 +14,137 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from pgf_jax.batching.planner_service import PlannerService
-from pgf_jax.batching.requests import (
-    Coroutine,
-    External,
-    Memoised,
-    Request,
-    Step,
-)
+from pgf_jax.batching.requests import Coroutine, External, Memoised, Request, Step
 
 
-class _Job:
-    """A deliberation under way, and the results it still waits for."""
+class _Running:
+    """A coroutine under way, and the results that it still waits for."""
 
-    def __init__(self, deliberation: Coroutine, done: Callable[[Any], None]) -> None:
-        self.deliberation, self.done = deliberation, done
+    def __init__(self, coroutine: Coroutine, on_result: Callable[[Any], None]) -> None:
+        self.coroutine, self.on_result = coroutine, on_result
         self.answers: list[Any] = []
         self.missing = 0
 
 
-Asked = tuple[_Job, int, Request]  # a request, who asks, and as which of theirs
+Pending = tuple[_Running, int, Request]  # who asks, as which of its requests, and the request
 
 
-class _Shared:
-    """The result of a `Once`, and who waits for it."""
+class _Memo:
+    """The result of a `Memoised` request, and who waits for it."""
 
     def __init__(self) -> None:
-        self.there, self.value = False, None
-        self.waiting: list[tuple[_Job, int]] = []
+        self.known, self.value = False, None
+        self.waiting: list[tuple[_Running, int]] = []
 
 
 class BatchScheduler:
-    """Deliberations, all their requests in one line: first come, first served."""
+    """Runs coroutines, and computes their requests in batches: first come, first served."""
 
     def __init__(self, planner_service: PlannerService) -> None:
-        self._computer = planner_service
-        self._steps: deque[Asked] = deque()
-        self._others: list[Asked] = []
-        self.seconds = 0.0  # of the wall clock spent in it, what is thought between requests too
-        self._clocking = False
+        self._planner_service = planner_service
+        self._steps: deque[Pending] = deque()
+        self._others: list[Pending] = []
+        self.seconds = 0.0  # of the wall clock spent in it, in the coroutines too
+        self._timing = False
 
     def __len__(self) -> int:
-        """Requests in line."""
+        """Requests that wait to be computed."""
         return len(self._steps) + len(self._others)
 
-    def submit(self, deliberation: Coroutine, done: Callable[[Any], None]) -> None:
-        """Start a deliberation; `done` is called with its result, perhaps at once."""
-        with self._clocked():
-            self._resume(_Job(deliberation, done), None)
+    def submit(self, coroutine: Coroutine, on_result: Callable[[Any], None]) -> None:
+        """Start a coroutine; `on_result` is called with its result, perhaps at once."""
+        with self._timed():
+            self._resume(_Running(coroutine, on_result), None)
+
+    def run(self, coroutine: Coroutine) -> Any:
+        """Run one coroutine to its end; returns its result."""
+        results: list[Any] = []
+        self.submit(coroutine, results.append)
+        while len(self):
+            self.run_batch()
+        return results[0]
 
     def run_batch(self) -> None:
-        """One call's worth of iterations, and what else is asked meanwhile."""
-        with self._clocked():
-            self._answer(self.take_steps())
+        """Compute one call's worth of iterations, and all other requests that wait by then."""
+        with self._timed():
+            self._compute(self.take_steps())
             while self._others:  # gains of the iterations just made, say
-                self._answer(self.take_others())
+                self._compute(self.take_others())
+
+    def take_steps(self) -> list[Pending]:
+        """Take one call's worth of iterations out of the queue, for `resolve`."""
+        lanes = self._planner_service.engine.lanes
+        return [self._steps.popleft() for _ in range(min(lanes, len(self._steps)))]
+
+    def take_others(self) -> list[Pending]:
+        """Take all requests that are no iterations out of the queue, for `resolve`."""
+        others, self._others = self._others, []
+        return others
+
+    def resolve(self, batch: Sequence[Pending], results: Sequence[Any]) -> None:
+        """Send results to the coroutines that asked; their next requests join the queue."""
+        for (running, place, _), result in zip(batch, results, strict=True):
+            self._deliver(running, place, result)
 
     @contextlib.contextmanager
-    def _clocked(self) -> Iterator[None]:
-        """Counts towards `seconds`; deliberations start others, which counts once."""
-        start = None if self._clocking else time.perf_counter()
-        self._clocking = True
+    def _timed(self) -> Iterator[None]:
+        """Count towards `seconds`; coroutines start others, which counts once."""
+        start = None if self._timing else time.perf_counter()
+        self._timing = True
         try:
             yield
         finally:
             if start is not None:
                 self.seconds += time.perf_counter() - start
-                self._clocking = False
+                self._timing = False
 
-    def take_steps(self) -> list[Asked]:
-        """Take one call's worth of iterations off the line, for `tell`."""
-        lanes = self._computer.engine.lanes
-        return [self._steps.popleft() for _ in range(min(lanes, len(self._steps)))]
+    def _compute(self, batch: Sequence[Pending]) -> None:
+        self.resolve(batch, self._planner_service.compute([request for *_, request in batch]))
 
-    def take_others(self) -> list[Asked]:
-        """Take all that is no iteration off the line, for `tell`."""
-        others, self._others = self._others, []
-        return others
+    def _deliver(self, running: _Running, place: int, result: Any) -> None:
+        running.answers[place] = result
+        running.missing -= 1
+        if not running.missing:
+            self._resume(running, running.answers)
 
-    def resolve(self, batch: Sequence[Asked], results: Sequence[Any]) -> None:
-        """Pass results on to who asked, whose further requests join the line."""
-        for (job, place, _), result in zip(batch, results, strict=True):
-            self._tell(job, place, result)
-
-    def _answer(self, batch: Sequence[Asked]) -> None:
-        self.resolve(batch, self._computer.compute([request for *_, request in batch]))
-
-    def _tell(self, job: _Job, place: int, result: Any) -> None:
-        job.answers[place] = result
-        job.missing -= 1
-        if not job.missing:
-            self._resume(job, job.answers)
-
-    def _resume(self, job: _Job, answers: list[Any] | None) -> None:
+    def _resume(self, running: _Running, answers: list[Any] | None) -> None:
         while True:
             try:
-                requests = job.deliberation.send(answers)  # pyright: ignore[reportArgumentType]
+                requests = running.coroutine.send(answers)  # pyright: ignore[reportArgumentType]
             except StopIteration as end:
-                job.done(end.value)
+                running.on_result(end.value)
                 return
-            # One more is missing until all are asked, so that none goes on from within the loop.
-            job.answers, job.missing = [None] * len(requests), len(requests) + 1
+            # One more is missing until all are enqueued, so that none goes on from within the loop.
+            running.answers, running.missing = [None] * len(requests), len(requests) + 1
             for place, request in enumerate(requests):
-                self._ask(job, place, request)
-            job.missing -= 1
-            if job.missing:
+                self._enqueue(running, place, request)
+            running.missing -= 1
+            if running.missing:
                 return
-            answers = job.answers
+            answers = running.answers
 
-    def _ask(self, job: _Job, place: int, request: Request) -> None:
+    def _enqueue(self, running: _Running, place: int, request: Request) -> None:
         if isinstance(request, Memoised):
-            self._ask_once(job, place, request)
+            self._enqueue_memoised(running, place, request)
         elif isinstance(request, External):
-            request.subscribe(functools.partial(self._tell, job, place))
+            request.subscribe(functools.partial(self._deliver, running, place))
         else:
-            line = self._steps if isinstance(request, Step) else self._others
-            line.append((job, place, request))
+            queue = self._steps if isinstance(request, Step) else self._others
+            queue.append((running, place, request))
 
-    def _ask_once(self, job: _Job, place: int, request: Memoised) -> None:
-        shared = request.cache.get(request.key)
-        if shared is None:
-            shared = request.cache[request.key] = _Shared()
-            shared.waiting.append((job, place))
-            self.submit(request.make(), functools.partial(self._keep, shared))
-        elif shared.there:
-            self._tell(job, place, shared.value)
+    def _enqueue_memoised(self, running: _Running, place: int, request: Memoised) -> None:
+        memo = request.cache.get(request.key)
+        if memo is None:
+            memo = request.cache[request.key] = _Memo()
+            memo.waiting.append((running, place))
+            self.submit(request.make(), functools.partial(self._memoise, memo))
+        elif memo.known:
+            self._deliver(running, place, memo.value)
         else:
-            shared.waiting.append((job, place))
+            memo.waiting.append((running, place))
 
-    def _keep(self, shared: _Shared, result: Any) -> None:
-        shared.there, shared.value = True, result
-        waiting, shared.waiting = shared.waiting, []
-        for job, place in waiting:
-            self._tell(job, place, result)
+    def _memoise(self, memo: _Memo, result: Any) -> None:
+        memo.known, memo.value = True, result
+        waiting, memo.waiting = memo.waiting, []
+        for running, place in waiting:
+            self._deliver(running, place, result)

@@ -1,8 +1,8 @@
-"""Forks of a robot's state: what would come of it with help and without (see `guidance.forks`).
+"""Forks of a robot's state: its future with help and without, computed (see `tables.forks`).
 
-One state a scene: the robot plans alone, and of its unsolved reach iterations from `first` to
-`last` one is drawn by (seed, scene), so that states with long histories count like those with
-short ones. A scene that is solved before gives none.
+A scene gives one state: the robot plans alone, and of its unsolved reach iterations from `first` to
+`last` one is drawn by (seed, scene), so that states with long histories count like those with short
+ones. A scene that is solved before gives none.
 """
 
 import zlib
@@ -10,8 +10,13 @@ from typing import Any
 
 import polars as pl
 
-from pgf_jax.batching.requests import Coroutine, Step, gather, robot_key_path
-from pgf_jax.batching.requests import trial_key_path as words
+from pgf_jax.batching.requests import (
+    Coroutine,
+    Step,
+    gather,
+    robot_key_path,
+    trial_key_path,
+)
 from pgf_jax.guidance.operators.base import AnyOperator, ask_operator
 from pgf_jax.guidance.predictors.features import STATE, state_features
 from pgf_jax.guidance.trials import Trial, simulate_input
@@ -56,12 +61,14 @@ def fork(
     draw = stream(seed, "fork-at", zlib.crc32(scene.name.encode()))
     search = unsolved[int(draw.integers(len(unsolved)))]
     done = int(search.iteration)
-    at = (seed, 0, 0, done + 1)
-    push = yield from ask_operator(operator, View.of(search), search, planner, at)
+    decision_key = (seed, 0, 0, done + 1)
+    push = yield from ask_operator(operator, View.of(search), search, planner, decision_key)
 
     def futures(given: Any) -> list[Coroutine]:
         return [
-            simulate_input(planner, search, given, words(*at, key), reach_limit=LOOK_AHEAD)
+            simulate_input(
+                planner, search, given, trial_key_path(*decision_key, key), reach_limit=LOOK_AHEAD
+            )
             for key in range(keys)
         ]
 

@@ -1,9 +1,9 @@
 """Recorded sessions as runs to train on.
 
-A log says what was said and when, and a session replays bit for bit from it: so its robots write
-their runs down once more. A run that ends early is carried forward with its last cost when rows are
-made of it (`guidance/rows.py`), which a solved task or one out of time calls for, but not one that
-the end of its session cut off: those are left out.
+A log holds the inputs of a session and their times. So the session is replayed bit for bit, and its
+robots record their runs once more. A run that ends early is carried forward with its last cost when
+training rows are made of it (`training.rows`): right for a solved task or one out of time, wrong
+for one that the end of its session cut off. Those are left out.
 """
 
 import dataclasses
@@ -16,10 +16,10 @@ import polars as pl
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.events import EventKind
 from pgf_jax.planning.types import Status
-from pgf_jax.simulation.loop import run_fleets
+from pgf_jax.simulation.loop import PlannedFleet, run_fleets
 from pgf_jax.simulation.planned_robots import Robot
 from pgf_jax.simulation.runner import FleetRunner
-from pgf_jax.sweeping.replay import compare, replay
+from pgf_jax.sweeping.replay import replay, replay_difference
 from pgf_jax.tables.event_log import EventLog, digest
 
 _SEEDS = 2**32  # a seed is less
@@ -29,7 +29,7 @@ _Task = tuple[int, int]  # robot, task
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sessions:
-    """What recorded sessions come to.
+    """The runs of recorded sessions.
 
     Attributes:
       runs: in the columns of `runs.parquet`, one frame for each task that ended by itself; empty
@@ -94,9 +94,9 @@ class _Replay:
     """One session, before it is replayed."""
 
     def __init__(self, path: Path | str) -> None:
-        self.play: FleetRunner
+        self._runner: FleetRunner
         self.log: EventLog
-        self.play, self.log = replay(path, on_task_end=self._task_end)
+        self._runner, self.log = replay(path, on_task_end=self._task_end)
         self.begun = sum(event.kind is EventKind.TASK_START for event in self.log.events)
         self._ended: Callable[[], None] = lambda: None
         self._runs: dict[_Task, pl.DataFrame] = {}
@@ -104,9 +104,10 @@ class _Replay:
     def runs(self, ended: Callable[[], None]) -> tuple[list[pl.DataFrame], int]:
         """Replay it; the runs of the tasks that ended by themselves, and how many did not."""
         self._ended = ended
-        fleet = self.play.fleet
-        run_fleets([(fleet, self.play.planned)], self.play.planner_service)  # nobody watches
-        difference = compare(fleet.events, self.log)
+        fleet = self._runner.fleet
+        planned = PlannedFleet(fleet, self._runner.robots)  # in one go, without the observer
+        list(run_fleets([planned], self._runner.planner_service))
+        difference = replay_difference(fleet.events, self.log)
         if difference is not None:
             raise BadInput(difference)
         cut = {(r.robot, r.task) for r in fleet.records if r.status is Status.CENSORED}
@@ -122,7 +123,7 @@ class _Replay:
 
 
 def _consecutive() -> pl.Expr:
-    """Numbers of segments, less those that no iteration was made of.
+    """Segment numbers without gaps: segments without any iteration are not counted.
 
     A robot that asks before it plans begins with a push, and its first reach remains empty; so does
     a push that there was no time for.
@@ -131,7 +132,7 @@ def _consecutive() -> pl.Expr:
 
 
 def _seed_of(task: _Task) -> pl.Expr:
-    """The seed of a run on a scene of a folder: seed + 2^32 n, n numbering (robot, task) pairs.
+    """The seed of a run on a scene of a folder: seed + 2^32 n, with n numbering (robot, task).
 
     By diagonals, so that n does not depend on how many robots and tasks there are, and (0, 0) keeps
     the session's seed.
@@ -141,7 +142,7 @@ def _seed_of(task: _Task) -> pl.Expr:
 
 
 def _check_new(run: pl.DataFrame, path: Path, holder: dict[tuple[str, int], Path]) -> None:
-    """BadInput where the run is among those of another log; else it is noted."""
+    """Raise BadInput where another log holds the same run; otherwise note it."""
     if run.is_empty():
         return
     scene, seed = run["scene"][0], run["seed"][0]

@@ -1,4 +1,4 @@
-"""The files of a sweep's results, each against what others say of it."""
+"""Checks every file in a folder of results against the other files there."""
 
 import dataclasses
 from collections import Counter
@@ -12,20 +12,21 @@ from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, read_file, read_json, sha256
 from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.metrics import summarise
-from pgf_jax.sweeping import cell_store
-from pgf_jax.sweeping.cell_store import MANIFEST, RESULTS, RUN, config_of, differences
+from pgf_jax.sweeping import cell_file
+from pgf_jax.sweeping.cell_store import MANIFEST, RESULTS, RUN
 from pgf_jax.sweeping.config import INPUTS
-from pgf_jax.sweeping.summary import csv, paired_frame, summary_frame
+from pgf_jax.sweeping.resolve import config_of, differences
+from pgf_jax.sweeping.summary import csv, paired_differences, paired_frame, summary_frame
 from pgf_jax.tables import results
 
-_ALONE = "nothing stands beside it of how it came about"
+_ALONE = "there is no file beside it that says how it was computed"
 _LARGEST_FILE = 2048 * MIB
 # A manifest has these of its cells, too.
 _COMMON = ("format", "seed", "engine", "lanes", "planner", "versions", "device")
 
 
 class Finding(NamedTuple):
-    """Something that is not as it was written.
+    """A file that is not as it was written.
 
     Attributes:
       path: of the file.
@@ -38,7 +39,7 @@ class Finding(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Checked:
-    """What is in a folder.
+    """The outcome of a check of a folder.
 
     Attributes:
       findings: what is wrong.
@@ -47,18 +48,18 @@ class Checked:
     """
 
     findings: tuple[Finding, ...]
-    sound: Mapping[Path, cell_store.Content]
+    sound: Mapping[Path, cell_file.Content]
     complete: bool
 
 
 def check_files(out: Path) -> Checked:
-    """Look at every file of a folder of results.
+    """Check every file of a folder of results.
 
     Raises:
       BadInput: it is none.
     """
-    if not (out / cell_store.FOLDER).is_dir():
-        raise BadInput(f"{out}: holds no results of a sweep (no folder {cell_store.FOLDER})")
+    if not (out / cell_file.FOLDER).is_dir():
+        raise BadInput(f"{out}: holds no results of a sweep (no folder {cell_file.FOLDER})")
     findings: list[Finding] = []
     sound = _cells(out, findings)
     manifest = _manifest(out, findings)
@@ -70,35 +71,35 @@ def check_files(out: Path) -> Checked:
     else:
         sound = _against_manifest(out, manifest, sound, findings)
         _merged(out, manifest, sound, findings)
-    known = {*RESULTS, MANIFEST, RUN, cell_store.FOLDER}
+    known = {*RESULTS, MANIFEST, RUN, cell_file.FOLDER}
     for path in sorted(out.iterdir()):
         if path.name not in known:
             findings.append(Finding(path, "foreign: no sweep writes it"))
     return Checked(tuple(findings), sound, manifest is not None)
 
 
-def _cells(out: Path, findings: list[Finding]) -> dict[Path, cell_store.Content]:
-    """The sound cells, by file; the others are found."""
-    folder = out / cell_store.FOLDER
-    sound: dict[Path, cell_store.Content] = {}
+def _cells(out: Path, findings: list[Finding]) -> dict[Path, cell_file.Content]:
+    """The sound cells, by file; the others are added to the findings."""
+    folder = out / cell_file.FOLDER
+    sound: dict[Path, cell_file.Content] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix == ".parquet" and path.is_file() and not path.name.startswith("."):
             try:
-                data = cell_store.check(path)
-                content = cell_store.decode(data, path)
+                data = cell_file.check(path)
+                content = cell_file.decode(data, path)
             except BadInput as error:
                 findings.append(Finding(path, _reason(path, error)))
                 continue
-            if not cell_store.sidecar(path).exists():
+            if not cell_file.sidecar(path).exists():
                 findings.append(Finding(path, f"foreign: {_ALONE}"))
-            name = cell_store.key(content.about["identity"])
+            name = cell_file.key(content.about["identity"])
             if name == path.stem:
                 sound[path] = content
-            elif cell_store.path(out, name).exists():
+            elif cell_file.path(out, name).exists():
                 findings.append(Finding(path, f"duplicate: it is the cell of {name}.parquet"))
             else:
                 findings.append(Finding(path, f"edited or renamed: it says it is {name}"))
-        elif path.suffix == ".json" and cell_store.is_key(path.stem):
+        elif path.suffix == ".json" and cell_file.is_key(path.stem):
             if not path.with_suffix(".parquet").exists():
                 findings.append(Finding(path, "foreign: without the cell that it is about"))
         else:
@@ -107,16 +108,16 @@ def _cells(out: Path, findings: list[Finding]) -> dict[Path, cell_store.Content]
 
 
 def _reason(path: Path, error: BadInput) -> str:
-    """What is wrong with a cell that cannot be read."""
+    """Why a cell cannot be read."""
     words = str(error).removeprefix(f"{path}: ")
-    if not cell_store.sidecar(path).exists():
+    if not cell_file.sidecar(path).exists():
         words = f"foreign: {_ALONE}, and it is no cell ({words})"
     elif words.startswith("truncated or edited"):
-        length = cell_store.read_account(path).get("bytes")
+        length = cell_file.read_account(path).get("bytes")
         found = path.stat().st_size
         if isinstance(length, int) and found < length:
             return f"truncated: {found} of {length} bytes"
-        return "edited: its digest is not the one that stands beside it"
+        return "edited: its digest is not the one in the file beside it"
     return words
 
 
@@ -131,7 +132,7 @@ def _manifest(out: Path, findings: list[Finding]) -> dict[str, Any] | None:
             raise TypeError
         # A name that is none of a cell's may lead anywhere.
         names = [(file, Path(file).stem) for file, *_ in listed]
-        good = (cell_store.is_key(key) and out / f == cell_store.path(out, key) for f, key in names)
+        good = (cell_file.is_key(key) and out / f == cell_file.path(out, key) for f, key in names)
         if not names or not all(good):
             raise KeyError
         return manifest
@@ -143,11 +144,11 @@ def _manifest(out: Path, findings: list[Finding]) -> dict[str, Any] | None:
 
 
 def _of_one_sweep(
-    sound: Mapping[Path, cell_store.Content], findings: list[Finding]
-) -> dict[Path, cell_store.Content]:
-    """Of an unfinished sweep's cells: those with the settings that most have."""
+    sound: Mapping[Path, cell_file.Content], findings: list[Finding]
+) -> dict[Path, cell_file.Content]:
+    """The cells of an unfinished sweep: those with the settings that most cells have."""
 
-    def common(content: cell_store.Content) -> str:
+    def common(content: cell_file.Content) -> str:
         settings = content.about.get("config")
         own = ("robots", "policies", "tasks")
         shared = settings if isinstance(settings, dict) else {}
@@ -167,9 +168,9 @@ def _of_one_sweep(
 def _against_manifest(
     out: Path,
     manifest: Mapping[str, Any],
-    sound: Mapping[Path, cell_store.Content],
+    sound: Mapping[Path, cell_file.Content],
     findings: list[Finding],
-) -> dict[Path, cell_store.Content]:
+) -> dict[Path, cell_file.Content]:
     listed = {out / cell["file"]: cell for cell in manifest["cells"]}
     for path, cell in listed.items():
         if not path.exists():
@@ -181,16 +182,16 @@ def _against_manifest(
         if path not in listed:
             findings.append(Finding(path, f"foreign: {MANIFEST} does not list it"))
             continue
-        said = _said(manifest, listed[path])
-        words = differences({name: _of_cell(content.about, name) for name in said}, said)
+        said = _in_manifest(manifest, listed[path])
+        words = differences({name: _in_cell(content.about, name) for name in said}, said)
         if words:
             findings.append(Finding(out / MANIFEST, f"edited: of {path.name} {words}"))
         ours[path] = content
     return ours
 
 
-def _said(manifest: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any]:
-    """What a manifest says of a cell."""
+def _in_manifest(manifest: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that a manifest has for a cell, by name."""
     said = {name: manifest.get(name) for name in _COMMON}
     versions = said["versions"]
     if isinstance(versions, dict):  # an identity has those that decide
@@ -206,8 +207,8 @@ def _said(manifest: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any
     return said | {name: cell.get(name) for name in ("policy", "robots", "tasks")}
 
 
-def _of_cell(about: Mapping[str, Any], name: str) -> Any:
-    """What a cell says itself."""
+def _in_cell(about: Mapping[str, Any], name: str) -> Any:
+    """The value of that name in the cell itself."""
     place, within = about["identity"], name
     if name.startswith("config."):
         place, within = about.get("config"), name.removeprefix("config.")
@@ -219,10 +220,10 @@ def _of_cell(about: Mapping[str, Any], name: str) -> Any:
 def _merged(
     out: Path,
     manifest: Mapping[str, Any],
-    sound: Mapping[Path, cell_store.Content],
+    sound: Mapping[Path, cell_file.Content],
     findings: list[Finding],
 ) -> None:
-    """The merged files, against the manifest and against the cells they were merged from."""
+    """Check the merged files against the manifest, and against the cells they were merged from."""
     whole = all(out / cell["file"] in sound for cell in manifest["cells"])
     expected = _remade(out, manifest, sound) if whole else {}
     for name in RESULTS:
@@ -241,9 +242,9 @@ def _merged(
 
 @np.errstate(all="ignore")  # of times that no sweep has, but an edited cell may
 def _remade(
-    out: Path, manifest: Mapping[str, Any], sound: Mapping[Path, cell_store.Content]
+    out: Path, manifest: Mapping[str, Any], sound: Mapping[Path, cell_file.Content]
 ) -> dict[str, Any]:
-    """The merged tables, from the cells; nothing where these make none."""
+    """Merge the cells again, by file; empty where that is impossible."""
     try:
         tables = {}
         for listed in manifest["cells"]:
@@ -252,24 +253,26 @@ def _remade(
         records = {cell: results.task_records(content.tasks) for cell, content in tables.items()}
         summaries = []
         for cell, content in tables.items():
-            config = config_of(content, {"log": "recorded"} if _replayed(content) else {}, out)
+            config = config_of(
+                content.about, {"log": "recorded"} if _replayed(content) else {}, out
+            )
             log = results.event_log(content.events)
             summaries.append(summarise(config.fleet(cell), records[cell], log))
     except (BadInput, KeyError, TypeError, ZeroDivisionError):
         return {}
     merged = {
         name: results.merge([(cell, getattr(content, name)) for cell, content in tables.items()])
-        for name in cell_store.TABLES
+        for name in cell_file.TABLES
     }
     return {
         "tasks.parquet": merged["tasks"],
         "events.parquet": merged["events"],
         "summary.csv": csv(summary_frame(summaries)),
-        "paired.csv": csv(paired_frame(results.paired_differences(records))),
+        "paired.csv": csv(paired_frame(paired_differences(records))),
     }
 
 
-def _replayed(content: cell_store.Content) -> bool:
+def _replayed(content: cell_file.Content) -> bool:
     settings = content.about.get("config")
     return isinstance(settings, dict) and settings.get("operator") == "replay"
 

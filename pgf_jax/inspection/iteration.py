@@ -1,4 +1,4 @@
-"""What was rolled out in one iteration of a task, and what of it was not finite."""
+"""The rollouts of one iteration of a task, and where they were not finite."""
 
 import dataclasses
 import functools
@@ -15,7 +15,7 @@ from pgf_jax.planning.types import Push
 
 
 class Fault(NamedTuple):
-    """What is the first in a rollout not to be finite; at one knot a position comes before others.
+    """The first value in a rollout that is not finite; at one knot, positions come first.
 
     Attributes:
       knot: 0-based.
@@ -31,7 +31,7 @@ class Fault(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Reproduction:
-    """An iteration, and all that was rolled out in it.
+    """An iteration of a task, with all of its rollouts.
 
     R rollouts (K; 1 at a segment's iteration 0; one more, the last, with the update `stomp`),
     T knots, N objects, C contact slots.
@@ -39,7 +39,7 @@ class Reproduction:
     Attributes:
       robot, task, iteration: which; the iteration counted over the task, as in the event log.
       scene: its name.
-      words: of the iteration's key: seed, robot, task, iteration, purpose.
+      key_path: of the iteration: seed, robot, task, iteration, purpose.
       before, after: the search.
       rolled: the rollouts.
     """
@@ -55,12 +55,12 @@ class Reproduction:
 
     @property
     def start(self) -> World:
-        """Where each rollout starts: [N, 2] m, [N, 2] m/s, [3] m and rad, [] gripper value."""
+        """The world in which each rollout starts: m, m/s, rad; the gripper's value."""
         return self.before.start
 
     @property
     def push(self) -> Push | None:
-        """What is being planned; None: a reach."""
+        """The push that is planned; None: a reach."""
         task = self.before.task
         return Push(int(task.pushed), *map(float, task.target)) if task.pushing else None
 
@@ -76,7 +76,7 @@ class Reproduction:
 
     @property
     def rollout(self) -> Rollout:
-        """[R, T, N, 2] and so on."""
+        """All rollouts: [R, T, N, 2] and so on."""
         return self.rolled.rollout
 
     @property
@@ -96,13 +96,13 @@ class Reproduction:
 
     @functools.cached_property
     def faults(self) -> tuple[Fault | None, ...]:
-        """What is the first not to be finite in each rollout; None: everything is."""
+        """The first fault of each rollout; None: all its values are finite."""
         parts = zip(*self.rollout, strict=True)
         return tuple(_fault(Rollout(*part)) for part in parts)
 
     @property
     def winner(self) -> int | None:
-        """The rollout that is the best so far after the iteration; None: an earlier one still is.
+        """Index of the rollout that became the best so far; None: an earlier one still is.
 
         With `stomp`, the blend: of equal ones the last.
         """
@@ -112,7 +112,7 @@ class Reproduction:
         return int(np.flatnonzero(same)[-1])
 
     def text(self) -> str:
-        """For a person: which iteration, what came of it, and a line for each rollout."""
+        """Text for a person: which iteration, its outcome, and a line for each rollout."""
         seed, number = self.key_path[0], int(self.after.iteration)
         push = self.push
         what = "reaching" if push is None else f"pushing {_at(push)}"
@@ -128,7 +128,7 @@ class Reproduction:
         lines = (
             f"robot {self.robot}, task {self.task} of seed {seed}, scene {self.scene}: iteration "
             f"{self.iteration}, {number} of its segment, {what}",
-            f"words of its key: {' '.join(map(str, self.key_path))}",
+            f"its key: {' '.join(map(str, self.key_path))}",
             f"rollouts: {total} of {knots} knots; {lost} with a cost that is not finite, "
             f"{full} with every contact slot in use",
             "best cost: before {:.6g}, after {:.6g}".format(*costs) + f" ({won})",
@@ -188,7 +188,7 @@ class Reproduction:
 
 
 def _fault(one: Rollout) -> Fault | None:
-    """Of one rollout: [T, N, 2] and so on."""
+    """The first fault of one rollout ([T, N, 2] and so on), or None."""
     hand = ~np.isfinite(one.hand).all(-1, keepdims=True)  # [T, 1]
     lost = np.concatenate([~np.isfinite(one.objects).all(-1), hand], 1)  # [T, N + 1]
     force = ~np.isfinite(one.force)  # [T, C]

@@ -1,4 +1,4 @@
-"""`pgf_jax.verify`: are a sweep's results as they were written, and do they come out again?"""
+"""`pgf_jax.verify`: checks that results are as they were written, and computes some again."""
 
 import dataclasses
 import secrets
@@ -15,10 +15,9 @@ from pgf_jax.errors import BadInput
 from pgf_jax.inspection.config import VerifyConfig
 from pgf_jax.inspection.folder_check import Checked, Finding, check_files
 from pgf_jax.streams import stream
-from pgf_jax.sweeping import cell_store
-from pgf_jax.sweeping.cell_store import config_of, differences
+from pgf_jax.sweeping import cell_file
 from pgf_jax.sweeping.config import INPUTS
-from pgf_jax.sweeping.resolve import Loaded, prepare
+from pgf_jax.sweeping.resolve import Loaded, config_of, differences, resolve
 from pgf_jax.sweeping.sweep import sweeps
 from pgf_jax.tables import results
 from pgf_jax.tables.event_log import first_difference
@@ -45,7 +44,7 @@ class Recomputed(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Verification:
-    """What was found.
+    """The outcome of `verify`.
 
     Attributes:
       folder: of the results.
@@ -65,7 +64,7 @@ class Verification:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is wrong; on another type of processor, results may be off."""
+        """Whether nothing is wrong; a cell may differ on another type of processor."""
         return not self.findings
 
 
@@ -120,10 +119,10 @@ def _again(
     with tempfile.TemporaryDirectory() as name:
         configs, files = [], []
         for path in drawn:
-            inputs = cell_store.inputs(path) | now
+            inputs = cell_file.inputs(path) | now
             try:
-                again = config_of(checked.sound[path], inputs, Path(name) / path.stem)
-                prepare(again, loaded)  # what it reads is there
+                again = config_of(checked.sound[path].about, inputs, Path(name) / path.stem)
+                resolve(again, loaded)  # what it reads is there
             except (BadInput, TypeError) as error:
                 findings.append(Finding(path, f"cannot be computed again: {error}"))
                 continue
@@ -133,15 +132,11 @@ def _again(
         recomputed = []
         for path, outcome in zip(files, outcomes, strict=True):
             ((cell, file),) = outcome.files.items()
-            recomputed.append(
-                _compared(path, cell.name, checked.sound[path], cell_store.read(file))
-            )
+            recomputed.append(_compared(path, cell.name, checked.sound[path], cell_file.read(file)))
     return recomputed, findings
 
 
-def _compared(
-    path: Path, name: str, old: cell_store.Content, new: cell_store.Content
-) -> Recomputed:
+def _compared(path: Path, name: str, old: cell_file.Content, new: cell_file.Content) -> Recomputed:
     # Written with the same words of their origin, they are the same bytes.
     if dataclasses.replace(new, about=old.about).data() == old.data():
         return Recomputed(path, name, True, "", True)
@@ -160,7 +155,7 @@ _KIND = ("processor", "device", "versions")
 
 
 def _code(code: Any) -> str:
-    """The code that computed, in a word or two."""
+    """The code that computed a cell, in few words."""
     if not isinstance(code, dict):
         return "unknown"
     git, source = code.get("git"), str(code.get("source_sha256"))[:8]
@@ -168,8 +163,8 @@ def _code(code: Any) -> str:
     return f"{commit}source {source}"
 
 
-def distance(old: cell_store.Content, new: cell_store.Content) -> str:
-    """How far two outcomes of a cell are apart, in words."""
+def distance(old: cell_file.Content, new: cell_file.Content) -> str:
+    """The difference between two results of a cell, in words."""
     both = old.tasks.join(new.tasks, on=["robot", "task"], suffix="_new")
     alike = int((both["status"] == both["status_new"]).sum())
     late = (both["planning_time_s"] - both["planning_time_s_new"]).abs().max()
@@ -213,7 +208,7 @@ def _show(outcome: Verification) -> None:
 
 
 def run(config: VerifyConfig) -> None:
-    """The command.
+    """Run the command: verify, and report.
 
     Raises:
       BadInput: something is wrong with the results.

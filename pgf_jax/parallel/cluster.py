@@ -7,7 +7,7 @@ from pgf_jax.errors import BadInput
 
 
 def open_cluster(address: str) -> tuple[Executor, int]:
-    """The workers of a Dask scheduler, or such as Slurm starts.
+    """Open the workers of a Dask scheduler, or those that Slurm starts.
 
     Args:
       address: tcp://HOST:PORT, tls://HOST:PORT, or slurm:N.

@@ -1,4 +1,4 @@
-"""Workers on many machines, by Dask: those of a scheduler that runs, or such as Slurm starts."""
+"""The workers of a Dask scheduler as an executor; Slurm may start them."""
 
 import contextlib
 import logging
@@ -20,7 +20,7 @@ _JOB = {"cores": 1, "processes": 1, "memory": "3GiB"}  # a worker of Slurm; jobq
 class DaskExecutor(Executor):
     """The workers of a Dask scheduler.
 
-    A worker that dies is Dask's to replace: its batch is computed by another one. Where the
+    Dask replaces a worker that dies: its batch is computed by another one. Where the
     scheduler is gone, futures are cancelled.
 
     Args:
@@ -32,7 +32,7 @@ class DaskExecutor(Executor):
       ModuleNotFoundError: slurm needs dask-jobqueue.
     """
 
-    claim = True  # its workers know nothing of each other, and of their cores
+    claim = True  # each worker has to find a core for itself
 
     def __init__(self, address: str) -> None:
         self._address, self._slurm, self._asked = address, None, None
@@ -44,7 +44,7 @@ class DaskExecutor(Executor):
             self._asked = int(address.removeprefix("slurm:"))
             self._slurm = _slurm(self._asked)
         try:
-            # Of its own: what the user's program does with Dask is its affair.
+            # Not the default client: the user's program may have one.
             self._client = Client(self._slurm or address, timeout=_ANSWER_S, set_as_default=False)
         except (OSError, ValueError) as error:
             self._close_slurm()
@@ -53,7 +53,7 @@ class DaskExecutor(Executor):
                 f"scheduler: {address} does not answer, expected a Dask scheduler there "
                 f"({str(error) or type(error).__name__})"
             ) from None
-        # Each call of its own: Dask would take two with the same arguments for one.
+        # Not pure: Dask would compute two calls with the same arguments once.
         self._executor = self._client.get_executor(pure=False)
 
     def count(self) -> int:

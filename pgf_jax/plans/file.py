@@ -1,4 +1,4 @@
-"""Plans and their files: `DIR/NAME.plan.json`, what a robot would execute and what it took.
+"""Plans and their files, `DIR/NAME.plan.json`: what a robot executes, and how it was planned.
 
 Numbers that are not finite (the cost of a rollout that diverged) are null in a file.
 """
@@ -15,8 +15,10 @@ import numpy as np
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import MIB, parse_json, read_file, write_atomically
 from pgf_jax.planning.types import Status
+from pgf_jax.plans.config import PlanConfig
 from pgf_jax.provenance import environment
 from pgf_jax.scene.scene import Scene
+from pgf_jax.simulation.loop import PlannedFleet
 from pgf_jax.simulation.planned_robots import Segment
 
 TERMS = ("c_d", "c_f", "c_b", "c_e", "c_s")
@@ -26,10 +28,10 @@ _LARGEST = 16 * MIB  # of a file; a plan takes some 100 kB
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """A scene's plan, solved or not. Times are simulated, in s.
+    """The plan of a scene, solved or not. Times are simulated, in s.
 
     Attributes:
-      scene: what was planned.
+      scene: the scene.
       status: how the task ended.
       seed: of the noise and of service times.
       engine, lanes, physics, cost_variant, update, operator, ask: settings, as in `PlanConfig`.
@@ -75,6 +77,41 @@ class Plan:
     grants: int
     non_finite: int
 
+    @classmethod
+    def from_task(cls, config: PlanConfig, seed: int, planned: PlannedFleet) -> "Plan":
+        """The plan of a fleet of one robot whose one task has ended."""
+        (record,), robot = planned.fleet.records, planned.robots.robots[0]
+        terms = [float(term) for term in robot.reach.value.terms]
+        log = robot.log.frame()
+        reach = log.filter(log["kind"] == "reach")
+        segments = reach["segment"].to_numpy()
+        return cls(
+            scene=robot.scene,
+            status=record.status,
+            seed=seed,
+            engine=config.engine,
+            lanes=config.lanes,
+            physics=config.physics,
+            cost_variant=config.cost,
+            update=config.update,
+            operator=config.operator,
+            ask=config.ask,
+            segments=(*robot.executed, planned.robots.segment(robot.reach)),
+            cost=dict(zip(TERMS, terms, strict=True)) | {"total": float(robot.reach.value.total)},
+            history=reach.select("c_d", "c_f", "c_b").to_numpy().reshape(-1, 3),
+            history_starts=tuple(int(i) for i in np.flatnonzero(np.diff(segments, prepend=-1))),
+            iterations=record.iterations,
+            reach_iterations=record.reach_iterations,
+            planning_time_s=record.planning_time_s,
+            waiting_s=record.waiting_s,
+            interaction_s=record.interaction_s,
+            execution_s=record.execution_s,
+            pushes=record.pushes_succeeded,
+            requests=record.requests,
+            grants=record.grants,
+            non_finite=record.non_finite,
+        )
+
     @property
     def solved(self) -> bool:
         """Whether the reach is feasible."""
@@ -105,8 +142,10 @@ class Plan:
 
 
 _TEXTS = ("engine", "physics", "cost_variant", "update", "operator", "ask")
-_COUNTS = ("seed", "lanes", "iterations", "reach_iterations", "pushes", "requests", "grants")
-_COUNTS = (*_COUNTS, "non_finite")
+_COUNTS = (
+    *("seed", "lanes", "iterations", "reach_iterations"),
+    *("pushes", "requests", "grants", "non_finite"),
+)
 _TIMES = ("planning_time_s", "waiting_s", "interaction_s", "execution_s")
 _PLAIN = (*_TEXTS, *_COUNTS, *_TIMES)
 
@@ -246,7 +285,7 @@ def _seconds(content: dict[str, Any], field: str, within: str = "") -> float:
 
 
 def _numbers(values: list, shape: tuple[int, ...], name: str, *, null: bool) -> np.ndarray:
-    """float64 of `shape`; nulls, where they are allowed, become inf."""
+    """Check numbers: a float64 array of `shape`; nulls, where allowed, become inf."""
     try:
         # numpy reads a null as nan; an empty list has lost the axes after its first.
         array = np.array(values, dtype=np.float64) if values else np.empty(shape)

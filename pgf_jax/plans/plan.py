@@ -1,25 +1,24 @@
-"""Plans of single scenes: a fleet of one robot and one task each, all in one batch.
+"""Plans single scenes: each is a fleet of one robot and one task, all of them in one batch.
 
-The fleet owns limits, asks and time, and `crew.drive` the loop, as in a sweep; what is planned is
-the same, only for robots that share nobody's operator.
+The fleet counts time, limits and asks, and `run_fleets` is the loop, as in a sweep. So a scene is
+planned as in a sweep, except that its robot has an operator of its own.
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, overload
 
 import numpy as np
 
 from pgf_jax.batching.planner_service import planner_service_of
+from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.errors import BadInput
-from pgf_jax.fleet import Fleet
 from pgf_jax.guidance.predictors.registry import predictor_spec
 from pgf_jax.plans.config import PlanConfig
-from pgf_jax.plans.file import TERMS, Plan
+from pgf_jax.plans.file import Plan
 from pgf_jax.scene.scene import Scene
 from pgf_jax.settings import MAX_SEED
 from pgf_jax.simulation.loop import run_fleets
-from pgf_jax.simulation.planned_robots import PlannedRobots, Robot
 from pgf_jax.simulation.single_robot import single_robot
 
 
@@ -49,65 +48,63 @@ def plan(key, scene, config=None):
       BadInput: not a key, or a checkpoint that `config` names or needs cannot be used.
     """
     seed = seed_of(key)
-    if isinstance(scene, Scene):
-        return plan_scenes([(scene, seed)], config)[0]
-    return plan_scenes([(one, seed) for one in scene], config)
+    one = isinstance(scene, Scene)
+    scenes = [scene] if one else list(scene)
+    plans = plan_scenes([(each, seed) for each in scenes], config)
+    return plans[0] if one else plans
 
 
 def plan_scenes(
-    scenes: Iterable[tuple[Scene, int]],
-    config: PlanConfig | None = None,
-    *,
-    on_plan: Callable[[Plan], None] | None = None,
+    scenes: Iterable[tuple[Scene, int]], config: PlanConfig | None = None
 ) -> list[Plan]:
+    """Plan (scene, seed) pairs in one batch; returns their plans, in order. See `plan`."""
+    return [plan for _, plan in sorted(iter_plans(scenes, config), key=lambda done: done[0])]
+
+
+def iter_plans(
+    scenes: Iterable[tuple[Scene, int]], config: PlanConfig | None = None
+) -> Iterator[tuple[int, Plan]]:
     """Plan scenes, each with its own seed, in one batch; see `plan`.
 
     Args:
       scenes: (scene, seed) pairs.
       config: settings; None: the defaults.
-      on_plan: called with each plan when it is done.
 
-    Returns:
-      Their plans, in order.
+    Yields:
+      The number of a scene and its plan, as soon as it is done.
     """
     scenes, config = list(scenes), config or PlanConfig()
-    bidder = None
-    # One that is named is checked even where nothing will be asked: it was meant to be used.
-    if config.policy == "pgf" or config.predictor != "paper":
-        bidder, _ = predictor_spec(config.predictor).load()
-    plans: dict[int, Plan] = {}
+    predictor = _load_predictor(config)
     sizes = sorted({len(scene.objects) for scene, _ in scenes})
     for n_objects in sizes:  # an engine is compiled for one number of objects
         planner_service = planner_service_of(config, n_objects)
-
-        def one(
-            index: int, scene: Scene, seed: int, planner_service=planner_service
-        ) -> tuple[Fleet, PlannedRobots]:
-            fleet, planned = single_robot(
+        fleets = [
+            single_robot(
                 planner_service,
                 scene,
                 seed,
                 operator=config.operator,
                 policy=config.policy,
-                predictor=bidder if config.policy == "pgf" else None,
+                predictor=predictor,
                 task_limit_s=config.task_limit,
                 service_s=(config.service_mean, config.service_sd),
-                on_end=lambda robot: done(index, seed, fleet, planned, robot),
+                label=i,
             )
-            return fleet, planned
-
-        def done(index: int, seed: int, fleet: Fleet, planned: PlannedRobots, robot: Robot) -> None:
-            plans[index] = result = _result(config, seed, fleet, planned, robot)
-            if on_plan is not None:
-                on_plan(result)
-
-        fleets = [
-            one(i, scene, seed)
             for i, (scene, seed) in enumerate(scenes)
             if len(scene.objects) == n_objects
         ]
-        run_fleets(fleets, planner_service)
-    return [plans[i] for i in range(len(scenes))]
+        for done in run_fleets(fleets, planner_service):
+            yield done.label, Plan.from_task(config, scenes[done.label][1], done)
+
+
+def _load_predictor(config: PlanConfig) -> GainPredictor | None:
+    """The predictor of what the robots bid; None where they bid no gain."""
+    bids_gain = config.policy == "pgf"
+    # One that is named is checked even where no robot bids: it was meant to be used.
+    if bids_gain or config.predictor != "paper":
+        predictor, _ = predictor_spec(config.predictor).load()
+        return predictor if bids_gain else None
+    return None
 
 
 def seed_of(key: Any) -> int:
@@ -137,39 +134,3 @@ def seed_of(key: Any) -> int:
         return int(words[-1])
     digest = hashlib.sha256(words.astype("<u4").tobytes()).digest()
     return int.from_bytes(digest[:4], "little")
-
-
-def _result(
-    config: PlanConfig, seed: int, fleet: Fleet, planned: PlannedRobots, robot: Robot
-) -> Plan:
-    (record,) = fleet.records
-    terms = [float(term) for term in robot.reach.value.terms]
-    log = robot.log.frame()
-    reach = log.filter(log["kind"] == "reach")
-    segments = reach["segment"].to_numpy()
-    return Plan(
-        scene=robot.scene,
-        status=record.status,
-        seed=seed,
-        engine=config.engine,
-        lanes=config.lanes,
-        physics=config.physics,
-        cost_variant=config.cost,
-        update=config.update,
-        operator=config.operator,
-        ask=config.ask,
-        segments=(*robot.executed, planned.segment(robot.reach)),
-        cost={**dict(zip(TERMS, terms, strict=True)), "total": float(robot.reach.value.total)},
-        history=reach.select("c_d", "c_f", "c_b").to_numpy().reshape(-1, 3),
-        history_starts=tuple(int(i) for i in np.flatnonzero(np.diff(segments, prepend=-1))),
-        iterations=record.iterations,
-        reach_iterations=record.reach_iterations,
-        planning_time_s=record.planning_time_s,
-        waiting_s=record.waiting_s,
-        interaction_s=record.interaction_s,
-        execution_s=record.execution_s,
-        pushes=record.pushes_succeeded,
-        requests=record.requests,
-        grants=record.grants,
-        non_finite=record.non_finite,
-    )

@@ -1,62 +1,74 @@
-"""Runs fleets to their ends, with one queue of work for all of them."""
+"""The loop that runs fleets: events, requests, results, until every fleet is done."""
 
 import functools
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
 
 from pgf_jax.batching.planner_service import PlannerService
 from pgf_jax.batching.scheduler import BatchScheduler
-from pgf_jax.fleet.robots import WorkKind
 from pgf_jax.fleet.simulator import Fleet
 from pgf_jax.simulation.planned_robots import PlannedRobots
 
 
+class PlannedFleet(NamedTuple):
+    """A fleet and its robots.
+
+    Attributes:
+      fleet: its events.
+      robots: that plan for it.
+      label: of the caller's, to tell fleets apart.
+    """
+
+    fleet: Fleet
+    robots: PlannedRobots
+    label: Any = None
+
+
 def run_fleets(
-    fleets: Iterable[tuple[Fleet, PlannedRobots]],
+    fleets: Iterable[PlannedFleet],
     planner_service: PlannerService,
     *,
     at_once: int | None = None,
-    on_round: Callable[[], None] | None = None,
-) -> int:
-    """Run fleets to their ends, all their pending work in one queue.
+    on_batch: Callable[[], None] | None = None,
+) -> Iterator[PlannedFleet]:
+    """Run fleets to their ends, with one queue for all their work; yields each when it is done.
 
-    A round takes as many iterations off the queue as a call has lanes, first come first served;
-    what they lead to joins the queue before the next, so that calls stay full while there is work.
+    A batch takes as many iterations from the queue as a call has lanes, first come, first served.
+    What follows from their results joins the queue before the next batch, so that calls stay full
+    while there is work.
 
     Args:
-      fleets: with their crews; may be a generator, taken from as fleets end.
-      computer: of all the crews.
-      at_once: how many fleets are under way at a time; None: all.
-      on_round: called after each round of calls.
-
-    Returns:
-      Iterations that robots asked for.
+      fleets: may be a generator: the next one is taken when another has ended.
+      planner_service: of all their robots.
+      at_once: how many fleets run at a time; None: all.
+      on_batch: called after each batch; what it raises ends the run.
     """
-    iterations = 0
     waiting = iter(fleets)
-    running: list[tuple[Fleet, PlannedRobots]] = []
-    queue = BatchScheduler(planner_service)
+    running: list[PlannedFleet] = []
+    scheduler = BatchScheduler(planner_service)
     while True:
-        going: list[tuple[Fleet, PlannedRobots]] = []
+        still_running: list[PlannedFleet] = []
         source = itertools.chain(running, waiting)
-        while at_once is None or len(going) < at_once:
-            pair = next(source, None)
-            if pair is None:
+        while at_once is None or len(still_running) < at_once:
+            planned = next(source, None)
+            if planned is None:
                 break
-            fleet, planned = pair
+            fleet, robots, _ = planned
             # An input may be there at once, and the fleet go on with it.
             while pending := fleet.advance():
                 for work in pending:
-                    iterations += work.kind is WorkKind.ITERATION
-                    queue.submit(planned.coroutine(work), functools.partial(fleet.deliver, work))
+                    deliver = functools.partial(fleet.deliver, work)
+                    scheduler.submit(robots.coroutine(work), deliver)
             if fleet.done:
-                planned.finish()
+                robots.finish()
+                yield planned
             else:
-                going.append(pair)
-        running = going
+                still_running.append(planned)
+        running = still_running
         if not running:
-            planner_service.answering_s += queue.seconds
-            return iterations
-        queue.run_batch()
-        if on_round is not None:
-            on_round()
+            planner_service.answering_s += scheduler.seconds
+            return
+        scheduler.run_batch()
+        if on_batch is not None:
+            on_batch()

@@ -1,4 +1,4 @@
-"""Watching a fleet: its events and searches, as what a person may see at an instant."""
+"""Observes a fleet: turns its events and searches into what a person may see at an instant."""
 
 import dataclasses
 import math
@@ -27,7 +27,7 @@ _SHOWS_ANOTHER_SEARCH = frozenset(
 
 @dataclasses.dataclass
 class _Seen:
-    """What has been seen of a robot; a task's end leaves `done`."""
+    """What has been seen of a robot's task; `done` is kept from task to task."""
 
     search: Search
     scene: str = ""
@@ -43,38 +43,38 @@ class _Seen:
 
 
 class FleetObserver:
-    """Follows one fleet.
+    """Observes one fleet.
 
-    A robot's search runs ahead of the clock: an iteration is computed when it starts. What is seen
-    is what had come of it at the last event, so `update` is called after each `Fleet.advance`,
-    before the work that it handed out is computed.
+    A robot's search runs ahead of the clock: an iteration is computed when it starts. What a person
+    may see is the search at the last event. So call `update` after each `Fleet.advance`, before the
+    work that it returned is computed.
     """
 
-    def __init__(self, fleet: Fleet, planned: PlannedRobots) -> None:
-        self._fleet, self._crew = fleet, planned
+    def __init__(self, fleet: Fleet, robots: PlannedRobots) -> None:
+        self._fleet, self._robots = fleet, robots
         self._seen: dict[int, _Seen] = {}
         self._events = 0  # seen
         self._window_open = False
 
     def update(self) -> None:
-        """Take in what has happened since the last call."""
+        """Process the events since the last call."""
         events = self._fleet.events
         for event in events[self._events :]:
             if event.robot is not None:
-                self._take_in(event.robot, event)
+                self._process(event.robot, event)
             elif event.kind is EventKind.WINDOW_CLOSE:
                 self._window_open = False
             self._window_open |= event.kind is EventKind.WINDOW_OPEN
         self._events = len(events)
 
-    def _take_in(self, index: int, event: Event) -> None:
-        robot = self._crew.robots.get(index)
+    def _process(self, index: int, event: Event) -> None:
+        robot = self._robots.robots.get(index)
         if event.kind is EventKind.TASK_START:
             assert robot is not None
             done = self._seen[index].done if index in self._seen else []
             self._seen[index] = _Seen(robot.search, robot.scene.name, robot.task, done=done)
             return
-        seen, run = self._seen[index], self._fleet.run(index)
+        seen, run = self._seen[index], self._fleet.task_run(index)
         assert run is not None
         if event.kind is EventKind.TASK_END:
             seen.done.append(Status(event.outcome))
@@ -106,7 +106,7 @@ class FleetObserver:
                 seen.push = seen.retreating_ns = None
 
     def snapshot(self, time_ns: int) -> FleetSnapshot:
-        """What there is to see at `time_ns`, which is not before the last event."""
+        """The fleet at `time_ns`, which is not before the last event."""
         operators, config = self._fleet.operators, self._fleet.config
         return FleetSnapshot(
             time_ns=time_ns,
@@ -117,11 +117,11 @@ class FleetObserver:
             ),
             serving=operators.serving(0),
             window_open=self._window_open,
-            attended=operators.is_there(0),
+            attended=operators.is_present(0),
         )
 
     def _robot(self, index: int, seen: _Seen, time_ns: int) -> RobotSnapshot:
-        run = self._fleet.run(index)
+        run = self._fleet.task_run(index)
         assert run is not None
         objects, pose, gripper = self._world(run.state, run.since_ns, seen, time_ns)
         rolled_out = int(seen.search.iteration) >= 0 and run.state is not State.EXECUTING
@@ -161,7 +161,7 @@ class FleetObserver:
             back = _share(time_ns - seen.retreating_ns, config.retreat_s) * RETREAT_M
             yaw = end[2] + hand.POINTING_YAW
             end[:2] -= back * np.array([np.cos(yaw), np.sin(yaw)])
-            # What it drags along is seen when it has ended.
+            # The objects that it drags along are known when it has ended.
             return np.asarray(best.objects[-1]), end, float(search.gripper[-1])
         pushing = bool(search.task.pushing)
         length_s = config.push_execution_s if pushing else config.reach_execution_s

@@ -1,8 +1,8 @@
-"""The robots of the fleets of one process: planners, operators and predictors behind `Work`.
+"""Robots that really plan: planner, operator and predictor behind the fleet's `Work`.
 
-A `Crew` is one fleet's robots (`fleet.Robots`). Each of them stands at a node of its task's tree
-(`trees.py`); what it asks of the `Computer` that all crews of the process share goes through its
-`Queue`.
+`PlannedRobots` are the robots of one fleet. Each robot is at a node of its task's memoised search
+(`search_cache.py`). A piece of work becomes a coroutine, whose requests the scheduler of the
+process computes together with those of all other robots.
 """
 
 import dataclasses
@@ -37,7 +37,7 @@ class Segment:
 
 @dataclasses.dataclass
 class Robot:
-    """One robot's task as it stands; changed only by its crew."""
+    """The state of one robot's task; only `PlannedRobots` changes it."""
 
     task: int
     scene: Scene
@@ -46,7 +46,7 @@ class Robot:
     log: RunLog
     inputs: int = 0  # services that have ended, those without an answer included
     dropped: int = 0  # pushes given since the shelf last changed that could not be planned
-    reach_node: Node | None = None  # while pushing: the reach that was asked about
+    reach_node: Node | None = None  # while pushing: the reach for which help was asked
 
     @property
     def search(self) -> Search:
@@ -63,48 +63,49 @@ class PlannedRobots:
     """The robots of one fleet; satisfies `fleet.Robots`.
 
     Args:
-      trees: of the tasks; shared by the crews whose tasks, noise and operator are the same.
+      cache: of searches; shared by the fleets whose tasks, noise and operator are the same.
       robots, tasks: how many robots, and tasks of each.
       predictor: of what robots bid; None: every gain is nan, and nobody bids one.
       on_task_end: called with (robot index, Robot) when a robot takes its next task, and by
         `finish` for the last ones.
+
+    Attributes:
+      robots: robot index -> its task, the last one once all have ended.
+      iterations: that have been requested so far.
     """
 
     def __init__(
         self,
-        search_cache: SearchCache,
+        cache: SearchCache,
         *,
         robots: int = 1,
         tasks: int = 1,
         predictor: GainPredictor | TrueGain | None = None,
         on_task_end: Callable[[int, Robot], None] | None = None,
     ) -> None:
-        self.search_cache, self.planner_service, self.predictor = (
-            search_cache,
-            search_cache.planner_service,
-            predictor,
-        )
+        self.cache, self.planner_service, self.predictor = cache, cache.planner_service, predictor
         self.robots: dict[int, Robot] = {}
+        self.iterations = 0
         self._to_do = {robot: range(tasks) for robot in range(robots)}  # not begun yet
         self._on_task_end = on_task_end
-        search_cache.retain(robots, tasks)
+        cache.retain(robots, tasks)
 
     # -- fleet.Robots -----------------------------------------------------------------------------
 
     def begin(self, robot: int, task: int) -> None:
         """See `fleet.Robots.begin`."""
         self._end_task(robot)
-        tree = self.search_cache.task(robot, task)
+        cached = self.cache.task(robot, task)
         self._to_do[robot] = self._to_do[robot][1:]
-        scene = tree.scene
+        scene = cached.scene
         log = RunLog(
             scene=scene.name,
-            seed=self.search_cache.seed,
+            seed=self.cache.seed,
             scene_class=class_of(scene),
             n_objects=len(scene.objects),
         )
         log.begin_segment("reach")
-        self.robots[robot] = Robot(task, scene, tree.root, [], log)
+        self.robots[robot] = Robot(task, scene, cached.root, [], log)
 
     def start_push(self, robot: int, push: Push) -> None:
         """See `fleet.Robots.start_push`."""
@@ -132,8 +133,9 @@ class PlannedRobots:
     # -- work -------------------------------------------------------------------------------------
 
     def coroutine(self, work: Work) -> Coroutine:
-        """What a piece of work asks of the computer; returns the work's result."""
+        """The coroutine of a piece of work; returns the work's result."""
         if work.kind is WorkKind.ITERATION:
+            self.iterations += 1
             return (yield from self._iterate(work))
         if work.kind is WorkKind.INPUT:
             return (yield from self._ask(work))
@@ -144,17 +146,15 @@ class PlannedRobots:
         before = r.search
 
         def step() -> Coroutine:
-            words = requests.robot_key_path(
-                self.search_cache.seed, work.robot, work.task, work.iteration
-            )
-            (after,) = yield [requests.Step(before, words(0))]
+            path = requests.robot_key_path(self.cache.seed, work.robot, work.task, work.iteration)
+            (after,) = yield [requests.Step(before, path(0))]
             return Node(after)
 
         (r.node,) = yield [r.node.memoised("iteration", step)]
         after = r.search
         gain = math.nan
         if self.predictor is not None and not after.task.pushing:
-            (gain,) = yield [self._gain(r, (*self._whose(work), work.iteration + 1))]
+            (gain,) = yield [self._gain(r, (*self._task_key(work), work.iteration + 1))]
         c_d, c_f, c_b = (float(x) for x in after.value.terms[:3])
         result = IterationResult(
             feasible=planner.terminate(after),
@@ -183,65 +183,63 @@ class PlannedRobots:
 
     def _ask(self, work: Work) -> Coroutine:
         r = self.robots[work.robot]
-        (given,) = yield [self._input(r, (*self._whose(work), work.iteration))]
+        (given,) = yield [self._input(r, (*self._task_key(work), work.iteration))]
         r.inputs += 1
         if given is not UNANSWERED:
             r.log.input_given()
         return given
 
-    # -- what follows from a node -----------------------------------------------------------------
+    # -- requests that a node memoises ------------------------------------------------------------
 
-    def _whose(self, work: Work) -> tuple[int, int, int]:
-        return self.search_cache.seed, work.robot, work.task
+    def _task_key(self, work: Work) -> tuple[int, int, int]:
+        return self.cache.seed, work.robot, work.task
 
-    def _input(self, r: Robot, at: DecisionKey) -> requests.Memoised:
-        """What the operator would say now."""
+    def _input(self, r: Robot, decision_key: DecisionKey) -> requests.Memoised:
+        """Request for the input that the operator would give now."""
         search, view = r.search, View.of(r.search, r.inputs, r.dropped)
-        planner, operator = self.planner_service.planner, self.search_cache.operator
+        planner, operator = self.planner_service.planner, self.cache.operator
         return r.node.memoised(
-            ("input", r.inputs), lambda: ask_operator(operator, view, search, planner, at)
+            ("input", r.inputs), lambda: ask_operator(operator, view, search, planner, decision_key)
         )
 
-    def _gain(self, r: Robot, at: DecisionKey) -> requests.Memoised:
-        """What the robot may bid now."""
+    def _gain(self, r: Robot, decision_key: DecisionKey) -> requests.Memoised:
+        """Request for the number that the robot may bid now."""
         search, predictor = r.search, self.predictor
         assert predictor is not None
 
         def predict() -> Coroutine:
             if isinstance(predictor, TrueGain):
-                return (
-                    yield from predictor.deliberate(
-                        search, self._input(r, at), self.planner_service.planner, at
-                    )
-                )
+                planner, request = self.planner_service.planner, self._input(r, decision_key)
+                return (yield from predictor.simulate_gain(search, request, planner, decision_key))
             (gain,) = yield [requests.PredictGain(predictor, state_features(search))]
             return gain
 
         return r.node.memoised(("gain", predictor, r.inputs), predict)
 
     def segment(self, search: Search) -> Segment:
-        """The best of a search, as part of a plan."""
+        """The best trajectory of a search, as a segment of a plan."""
         kind = "push" if bool(search.task.pushing) else "reach"
         duration = self.planner_service.engine.physics.rollout_s
         return Segment(kind, duration, np.asarray(search.controls), np.asarray(search.gripper))
 
     def finish(self) -> None:
-        """Report the tasks that no other task follows, and leave those that will never begin."""
-        for robot, tasks in self._to_do.items():
+        """Report the tasks that no other task follows, and release those that will never begin."""
+        to_do, self._to_do = self._to_do, {}
+        for robot, tasks in to_do.items():
             self._end_task(robot)
             for task in tasks:
-                self.search_cache.release(robot, task)
+                self.cache.release(robot, task)
 
     @staticmethod
     def _reach(r: Robot, node: Node) -> None:
-        """Reach from a node: a push has been executed, or dropped."""
+        """Go on reaching from a node, after a push that was executed or dropped."""
         r.log.begin_segment("reach")
         r.node, r.reach_node = node, None
 
     def _end_task(self, robot: int) -> None:
-        ended = self.robots.pop(robot, None)
+        ended = self.robots.get(robot)
         if ended is None:
             return
-        self.search_cache.release(robot, ended.task)
+        self.cache.release(robot, ended.task)
         if self._on_task_end is not None:
             self._on_task_end(robot, ended)

@@ -1,7 +1,7 @@
-"""`replay`: what a recorded operator said, and when, as an operator of a fleet.
+"""The operator `replay`: gives the inputs of a recorded session, when they were given.
 
-Everything else in a fleet follows from its settings, so these few facts bring a session back bit
-for bit: for each service its length and its input, and when the operator came and left.
+Everything else in a fleet follows from its settings. So a session is repeated bit for bit by the
+length and the input of each service, and by the times at which the operator came and left.
 """
 
 import dataclasses
@@ -17,18 +17,16 @@ from pgf_jax.planning.types import UNANSWERED, NoInput, Push
 from pgf_jax.tables.event_log import EventLog, digest
 
 REPLAY, LIVE = "replay", "live"
-
-
 _SERVICE = tuple[int, int, int]  # robot, task, request
 
 
 @dataclasses.dataclass(frozen=True)
 class Recording:
-    """The operator of a recorded fleet; satisfies `ServiceTimes` and `Deliberate`.
+    """The operator of a recorded fleet; satisfies `ServiceTimes` and `RolloutOperator`.
 
     Attributes:
       inputs: of the services that ended with an answer, or without one: service -> length in ns,
-        and what was said. Others (cut off by a limit, or by the end of the log) are open for ever.
+        and the input. Others (cut off by a limit, or by the end of the log) never end.
       attendance: when the operator left and came back.
       end_ns: time of the last event.
       sha256: of the events.
@@ -43,10 +41,10 @@ class Recording:
 
     @classmethod
     def of(cls, log: EventLog) -> "Recording":
-        """The operator of a log.
+        """Read the operator of a log.
 
         Raises:
-          BadInput: the events of the log do not make a log of one fleet.
+          BadInput: the events are no log of one fleet.
         """
         inputs: dict[_SERVICE, tuple[int, Push | NoInput | None]] = {}
         granted: dict[_SERVICE, int] = {}
@@ -72,16 +70,16 @@ class Recording:
         return cls(inputs, tuple(attendance), end_ns, digest(events))
 
     def seconds(self, robot: int, task: int, request: int) -> float | None:
-        """See `ServiceTimes.seconds`: as long as it took."""
+        """See `ServiceTimes.seconds`: the length in the recording."""
         service = self.inputs.get((robot, task, request))
         # Exact: a float of so few ns is the nearest one to their number over 1e9, and comes back.
         return None if service is None else service[0] / 1e9
 
     def deliberate(
-        self, view: View, search: Search, planner: BatchPlanner, at: DecisionKey
+        self, view: View, search: Search, planner: BatchPlanner, decision_key: DecisionKey
     ) -> Coroutine:
-        """See `Deliberate.deliberate`: what was said then."""
-        service = self.inputs.get((at[1], at[2], view.request))
+        """See `RolloutOperator.deliberate`: the input in the recording."""
+        service = self.inputs.get((decision_key[1], decision_key[2], view.request))
         if service is None:
             return (yield [External(lambda done: None)])[0]  # an answer that never came
         given = service[1]
@@ -99,7 +97,7 @@ def _service(event: Event, where: str) -> _SERVICE:
 
 
 def _given(event: Event, where: str) -> Push | NoInput | str | None:
-    """The input of a service that has ended; the outcome where none was to come any more."""
+    """The input of a service that has ended; its outcome where it ended without one."""
     if event.outcome == "push":
         if event.object is None or event.x is None or event.y is None:
             raise BadInput(f"{where}: a push without its object or place")

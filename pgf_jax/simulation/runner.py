@@ -1,4 +1,4 @@
-"""One fleet, run step by step: as the wall clock goes, or as somebody wants to look at it."""
+"""Runs one fleet step by step: in real time for the console, or to look at it at chosen times."""
 
 import dataclasses
 import functools
@@ -6,86 +6,74 @@ from collections.abc import Callable
 
 from pgf_jax.batching.planner_service import PlannerService, make_planner_service
 from pgf_jax.batching.scheduler import BatchScheduler
-from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.simulator import Fleet
 from pgf_jax.guidance.operators.base import AnyOperator
+from pgf_jax.simulation.fleet_spec import FleetSpec
 from pgf_jax.simulation.observer import FleetObserver
 from pgf_jax.simulation.planned_robots import PlannedRobots, Robot
-from pgf_jax.simulation.search_cache import SearchCache
-from pgf_jax.sweeping.resolve import Setup
 
 
 @dataclasses.dataclass(eq=False)
 class FleetRunner:
-    """A fleet with its robots, the queue of their work, and who watches.
+    """A fleet with its robots, the scheduler of their requests, and an observer.
 
     Attributes:
-      fleet, crew, computer, queue, watch: these.
+      fleet: its events.
+      robots: that plan for it.
+      planner_service: computes their requests.
+      scheduler: batches them.
+      observer: what a person may see of the fleet.
     """
 
     fleet: Fleet
-    planned: PlannedRobots
+    robots: PlannedRobots
     planner_service: PlannerService
-    queue: BatchScheduler
-    watch: FleetObserver
+    scheduler: BatchScheduler
+    observer: FleetObserver
 
     @classmethod
     def of(
         cls,
-        setup: Setup,
-        cell: Cell,
+        spec: FleetSpec,
         *,
         new_fleet: Callable[[PlannedRobots], Fleet] | None = None,
         operator: AnyOperator | None = None,
         on_task_end: Callable[[int, Robot], None] | None = None,
     ) -> "FleetRunner":
-        """The fleet of a cell.
+        """Set a fleet up, before its first event.
 
         Args:
-          setup: of the sweep that the cell is of.
-          cell: policy and sizes.
+          spec: of the fleet.
           new_fleet: makes the fleet; None: as a sweep does.
-          operator: gives the input; None: as in a sweep.
-          on_task_end: see `Crew`.
+          operator: gives the input; None: the one of the fleet.
+          on_task_end: see `PlannedRobots`.
         """
-        machine = make_planner_service(*setup.compile_key())
-        search_cache = SearchCache(
-            machine,
-            scenes=setup.scene,
-            operator=operator or setup.operator(),
-            seed=setup.config.seed,
-        )
-        planned = PlannedRobots(
-            search_cache,
-            robots=cell.robots,
-            tasks=cell.tasks,
-            predictor=setup.bidder_of(cell),
-            on_task_end=on_task_end,
-        )
-        fleet = new_fleet(planned) if new_fleet is not None else setup.new_fleet(cell, planned)
-        return cls(fleet, planned, machine, BatchScheduler(machine), FleetObserver(fleet, planned))
+        service = make_planner_service(*spec.compile_key)
+        robots = spec.planned_robots(spec.search_cache(service, operator), on_task_end)
+        fleet = (new_fleet or spec.new_fleet)(robots)
+        scheduler = BatchScheduler(service)
+        return cls(fleet, robots, service, scheduler, FleetObserver(fleet, robots))
 
     def step(self, until_ns: int | None = None) -> None:
-        """Let happen what can, up to `until_ns`, without computing anything."""
+        """Process the events up to `until_ns` that need no result which is still to be computed."""
         while pending := self.fleet.advance(until_ns):
-            self.watch.update()
+            self.observer.update()
             for work in pending:
-                self.queue.submit(
-                    self.planned.coroutine(work), functools.partial(self.fleet.deliver, work)
-                )
-        self.watch.update()
+                deliver = functools.partial(self.fleet.deliver, work)
+                self.scheduler.submit(self.robots.coroutine(work), deliver)
+        self.observer.update()
 
     def run_until(self, until_ns: int | None = None) -> None:
-        """Let everything happen up to `until_ns`."""
+        """Process all events up to `until_ns`, and compute what they need; None: to the end."""
         self.step(until_ns)
-        while self._lacks_a_result(until_ns):
-            if not len(self.queue):
-                raise RuntimeError("the fleet waits for something that nobody computes")
-            self.queue.run_batch()
+        while self._is_blocked(until_ns):
+            if not len(self.scheduler):
+                raise RuntimeError("the fleet waits for a result that nothing computes")
+            self.scheduler.run_batch()
             self.step(until_ns)
 
-    def _lacks_a_result(self, until_ns: int | None) -> bool:
-        waits_for_ns = self.fleet.waits_for_ns
-        if self.fleet.done or waits_for_ns is None:
+    def _is_blocked(self, until_ns: int | None) -> bool:
+        blocked_at_ns = self.fleet.blocked_at_ns
+        if self.fleet.done or blocked_at_ns is None:
             return False
-        return until_ns is None or waits_for_ns <= until_ns
+        return until_ns is None or blocked_at_ns <= until_ns

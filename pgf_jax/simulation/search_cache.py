@@ -1,10 +1,10 @@
-"""What becomes of a task, as a tree that fleets share: no branch of it is computed twice.
+"""Memoised task searches, shared between fleets.
 
 A task's search is a function of its scene, the seed, the operator, and what has happened in it:
-iterations, inputs, pushes dropped. Fleets of other sizes, other policies, other operator latencies
-go the same way until somebody is served at another moment, often to the end. So the fleets of a
-process walk one tree for each (robot, task); who comes first has a branch computed. Common random
-numbers are what makes this exact: a result is the same whoever asks for it (D8).
+iterations, inputs, pushes dropped. Fleets of other sizes, other policies or other operator
+latencies go the same way until a robot is served at another moment, often to the end. So each
+(robot, task) has one tree of searches, and a branch is computed for the first fleet that needs it.
+This is exact because of common random numbers: a result is the same for whoever asks for it.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from pgf_jax.scene.scene import Scene
 
 
 class Node:
-    """A task's search after all that has happened to it so far; never changed."""
+    """A task's search after everything that has happened in the task so far; never changed."""
 
     __slots__ = ("_cache", "_children", "search")
 
@@ -29,32 +29,32 @@ class Node:
         self._cache: dict[Hashable, Any] = {}
         self._children: dict[Hashable, Node] = {}
 
-    def memoised(self, label: Hashable, make: Callable[[], Coroutine]) -> Memoised:
-        """A request for something that follows from this node alone, and takes the computer."""
-        return Memoised(self._cache, label, make)
+    def memoised(self, key: Hashable, make: Callable[[], Coroutine]) -> Memoised:
+        """A memoised request for something that follows from this node alone."""
+        return Memoised(self._cache, key, make)
 
-    def child(self, label: Hashable, make: Callable[[], Search]) -> "Node":
-        """The node after something that takes no computing to speak of."""
-        if label not in self._children:
-            self._children[label] = Node(make())
-        return self._children[label]
+    def child(self, key: Hashable, make: Callable[[], Search]) -> "Node":
+        """The node after a change that is cheap to compute; made once for each key."""
+        if key not in self._children:
+            self._children[key] = Node(make())
+        return self._children[key]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CachedTask:
-    """One task: its scene, and where its search begins."""
+    """A task: its scene, and the node at which its search begins."""
 
     scene: Scene
     root: Node
 
 
 class SearchCache:
-    """The trees of the tasks of one seed.
+    """The memoised searches of the tasks of one seed.
 
-    A tree is kept until all fleets that have joined are done with its task.
+    A task is kept until all fleets that retain it have released it.
 
     Args:
-      computer: computes what robots and operator ask for.
+      planner_service: computes the requests of robots and operator.
       scenes: (robot, task) -> scene.
       operator: gives the inputs.
       seed: of the noise.
@@ -71,21 +71,21 @@ class SearchCache:
         self.planner_service, self.operator, self.seed = planner_service, operator, seed
         self._scenes = scenes
         self._fleets: list[tuple[int, int]] = []
-        self._trees: dict[tuple[int, int], CachedTask] = {}
-        self._left: dict[tuple[int, int], int] = {}
+        self._tasks: dict[tuple[int, int], CachedTask] = {}
+        self._released: dict[tuple[int, int], int] = {}
 
     def retain(self, robots: int, tasks: int) -> None:
-        """A fleet of so many robots with so many tasks each; all join before the first begins."""
+        """Keep the tasks of a fleet; to be called for all fleets before the first one begins."""
         self._fleets.append((robots, tasks))
 
     def task(self, robot: int, task: int) -> CachedTask:
-        """The tree of a task.
+        """The task number `task` of a robot (both 0-based).
 
         Raises:
           BadInput: its scene has another number of objects than the engine.
         """
         key = (robot, task)
-        if key not in self._trees:
+        if key not in self._tasks:
             scene, n = self._scenes(*key), self.planner_service.engine.n_objects
             if len(scene.objects) != n:
                 raise BadInput(
@@ -94,16 +94,16 @@ class SearchCache:
                 )
             world = start_world(scene.positions)
             root = Node(self.planner_service.planner.begin_reach(world, scene.goal))
-            self._trees[key] = CachedTask(scene, root)
-        return self._trees[key]
+            self._tasks[key] = CachedTask(scene, root)
+        return self._tasks[key]
 
     def release(self, robot: int, task: int) -> None:
-        """A fleet is done with a task, or will never begin it."""
+        """One fleet is done with a task, or will never begin it."""
         key = (robot, task)
-        self._left[key] = self._left.get(key, 0) + 1
-        if self._left[key] >= sum(r > robot and m > task for r, m in self._fleets):
-            self._trees.pop(key, None)
+        self._released[key] = self._released.get(key, 0) + 1
+        if self._released[key] >= sum(r > robot and m > task for r, m in self._fleets):
+            self._tasks.pop(key, None)
 
     def __len__(self) -> int:
-        """Trees kept."""
-        return len(self._trees)
+        """Number of tasks kept."""
+        return len(self._tasks)

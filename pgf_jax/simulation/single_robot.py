@@ -1,13 +1,14 @@
-"""A fleet of one robot with one task."""
+"""Fleets of one robot with one task."""
 
-from collections.abc import Callable
+from typing import Any
 
 from pgf_jax.batching.planner_service import PlannerService
 from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.fleet import Fleet, FleetConfig
 from pgf_jax.guidance.operators.registry import make_operator
 from pgf_jax.scene.scene import Scene
-from pgf_jax.simulation.planned_robots import PlannedRobots, Robot
+from pgf_jax.simulation.loop import PlannedFleet
+from pgf_jax.simulation.planned_robots import PlannedRobots
 from pgf_jax.simulation.search_cache import SearchCache
 
 
@@ -21,27 +22,25 @@ def single_robot(
     predictor: GainPredictor | None = None,
     task_limit_s: float,
     service_s: tuple[float, float],
-    on_end: Callable[[Robot], None],
-) -> tuple[Fleet, PlannedRobots]:
+    label: Any = None,
+) -> PlannedFleet:
     """A fleet of one robot whose one task is `scene`.
 
     Args:
-      computer: of the scene's number of objects.
+      planner_service: for the scene's number of objects.
       scene: the task.
       seed: of noise and service times.
       operator: who gives input.
-      policy: when it is asked for.
-      predictor: of what it bids.
+      policy: when the robot asks for it.
+      predictor: of what the robot bids.
       task_limit_s: planning, waiting and interaction allowed, s.
       service_s: mean and standard deviation of the service time, s.
-      on_end: called with the robot when the task has ended.
+      label: see `PlannedFleet`.
     """
-    search_cache = SearchCache(
+    cache = SearchCache(
         planner_service, scenes=lambda *_: scene, operator=make_operator(operator), seed=seed
     )
-    planned = PlannedRobots(
-        search_cache, predictor=predictor, on_task_end=lambda index, robot: on_end(robot)
-    )
+    robots = PlannedRobots(cache, predictor=predictor)
     config = FleetConfig(
         robots=1,
         tasks=1,
@@ -52,4 +51,4 @@ def single_robot(
         service_mean_s=service_s[0],
         service_sd_s=service_s[1],
     )
-    return Fleet(config, planned), planned
+    return PlannedFleet(Fleet(config, robots), robots, label)

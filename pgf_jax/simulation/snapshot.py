@@ -1,21 +1,39 @@
-"""A fleet at an instant, as a person may see it: what the console shows and `render` draws."""
+"""What a person sees of a fleet at one instant; the console shows it, and `render` draws it."""
 
 import dataclasses
+import math
 
 import numpy as np
 
 from pgf_jax.fleet.records import State
+from pgf_jax.physics import hand
 from pgf_jax.planning.types import Push, Status
+
+STUCK = "stuck"  # in place of the bid of a stuck robot, which is inf
+_ACTIVITIES = {
+    State.IDLE: "done",
+    State.PLANNING: "planning",
+    State.IN_WINDOW: "bids",
+    State.IN_LINE: "waiting",
+    State.SERVED: "served",
+    State.EXECUTING: "executing",
+}
+_PUSH_ACTIVITIES = {State.PLANNING: "planning push", State.EXECUTING: "pushing"}
+
+
+def short_number(value: float) -> str:
+    """A finite number in few characters: with fewer decimals, the larger it is."""
+    return f"{value:.{0 if abs(value) >= 10 else 1 if abs(value) >= 1 else 2}f}"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RobotSnapshot:
-    """One robot and its shelf.
+    """What a person sees of one robot and its shelf.
 
     Attributes:
       robot, task: 0-based.
       scene: name of the task's scene.
-      state: what it does; `IDLE` once its tasks are done.
+      state: of the fleet's simulation; `IDLE` once its tasks are done.
       objects: [N, 2] centres of the objects, m; on their way while something is executed.
       goal: index of the goal.
       hand: [3] hand pose: base x, y (m), yaw (rad).
@@ -53,10 +71,46 @@ class RobotSnapshot:
     done: tuple[Status, ...]
     ends: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
 
+    @property
+    def activity(self) -> str:
+        """The state in one or two words."""
+        name = _ACTIVITIES[self.state]
+        return name if self.push is None else _PUSH_ACTIVITIES.get(self.state, name)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the robot waits for an operator, in a window or in the queue."""
+        return self.state in (State.IN_WINDOW, State.IN_LINE)
+
+    @property
+    def bid_text(self) -> str:
+        """The bid as text; empty where there is none."""
+        if self.bid is None or math.isnan(self.bid):
+            return ""
+        return STUCK if math.isinf(self.bid) else short_number(self.bid)
+
+    @property
+    def solved(self) -> int:
+        """Number of the robot's tasks that ended solved."""
+        return sum(status is Status.SOLVED for status in self.done)
+
+    def hand_axes(self) -> np.ndarray:
+        """The axes of the hand's capsules on the plane: [C, 2, 2] end points (x, y), m."""
+        x, y, yaw = (float(value) for value in self.hand)
+        c, s = math.cos(yaw), math.sin(yaw)
+        return hand.capsule_segments(float(self.gripper)) @ np.array([[c, s], [-s, c]]) + [x, y]
+
+    def end_effector_path(self) -> np.ndarray:
+        """[T, 2] positions of the end-effector point on `path`, m."""
+        x, y, yaw = np.asarray(self.path, float).reshape(-1, 3).T
+        c, s = np.cos(yaw), np.sin(yaw)
+        ahead, aside = hand.EE_POINT
+        return np.stack([x + c * ahead - s * aside, y + s * ahead + c * aside], -1)
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FleetSnapshot:
-    """All robots at one instant.
+    """What a person sees of all robots at one instant.
 
     Attributes:
       time_ns: simulated time, ns.
@@ -75,3 +129,10 @@ class FleetSnapshot:
     serving: int | None
     window_open: bool
     attended: bool
+
+    @property
+    def progress(self) -> str:
+        """How many tasks have ended, and how many of them solved."""
+        ended = sum(len(robot.done) for robot in self.robots)
+        solved = sum(robot.solved for robot in self.robots)
+        return f"{ended} of {len(self.robots) * self.tasks} tasks done, {solved} solved"

@@ -1,4 +1,4 @@
-"""Figures of a sweep."""
+"""The figure of a sweep, like figure 6 of Papallas & Dogar (2022)."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -11,12 +11,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 MARKERS = "osD^vP*X"
 
 
 def figure6(summaries: Sequence[CellSummary]) -> "Figure":
-    """Planning time and success rate over the fleet size, a line for each policy.
+    """Draw planning time and success rate over the fleet size, a line for each policy.
 
     Planning time is the mean over all tasks that ended, failures included; bars are 95 % intervals
     (t for times, Wilson for rates).

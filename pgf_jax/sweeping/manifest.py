@@ -1,7 +1,8 @@
-"""`manifest.json`: what the results of a sweep are and where they come from; `run.json`: how.
+"""The contents of `manifest.json` and `run.json`.
 
-The first is the same whenever and wherever the sweep is computed on one type of processor; times,
-hosts and workers are in the second.
+The manifest says what the results of a sweep are and where they come from; it is the same whenever
+and wherever the sweep is computed on one type of processor. Times, hosts and workers are in
+`run.json`.
 """
 
 import dataclasses
@@ -15,9 +16,9 @@ from pgf_jax.fleet.config import Cell
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import MAX_CONTACTS
 from pgf_jax.provenance import environment, host
-from pgf_jax.sweeping.cell_store import FOLDER, Content
+from pgf_jax.sweeping.cell_file import FOLDER, Content
 from pgf_jax.sweeping.config import HOW, SweepConfig
-from pgf_jax.sweeping.resolve import FORMAT, Setup, scenes_digest
+from pgf_jax.sweeping.resolve import FORMAT, ResolvedSweep
 from pgf_jax.sweeping.run_cells import BatchStats
 
 
@@ -30,19 +31,18 @@ def settings(config: SweepConfig) -> dict[str, Any]:
     }
 
 
-def about(setup: Setup) -> dict[str, Any]:
+def about(sweep: ResolvedSweep) -> dict[str, Any]:
     """Where the merged results come from, for the metadata of their files."""
-    config = setup.config
     return {
         "format": FORMAT,
-        "config": settings(config),
-        "predictors": {name: file["sha256"] for name, file in setup.predictor_files.items()},
+        "config": settings(sweep.config),
+        "predictors": {name: file["sha256"] for name, file in sweep.predictor_files.items()},
         **environment(),
     }
 
 
 def origins(tables: Iterable[Content]) -> list[dict[str, Any]]:
-    """The types of processor, and the code, that cells were computed by: one, or else mixed."""
+    """The types of processor and code that cells were computed by, with their counts."""
     counts: dict[str, int] = {}
     for content in tables:
         origin = {name: content.about.get(name) for name in ("processor", "code")}
@@ -52,8 +52,7 @@ def origins(tables: Iterable[Content]) -> list[dict[str, Any]]:
 
 
 def manifest(
-    setup: Setup,
-    keys: Mapping[Cell, str],
+    sweep: ResolvedSweep,
     tables: Mapping[Cell, Content],
     digests: Mapping[Cell, str],
     files: Mapping[str, bytes],
@@ -61,24 +60,23 @@ def manifest(
     """The manifest of a sweep that has ended.
 
     Args:
-      setup: of the sweep.
-      keys: names of its cells.
-      tables: what is in them.
+      sweep: with its inputs.
+      tables: the content of its cells.
       digests: of its cells' files.
       files: the merged results, by name.
     """
-    config = setup.config
+    config = sweep.config
     physics = PHYSICS[config.physics]
     return {
         "format": FORMAT,
         "config": settings(config),
         "cells": [
             {
-                **dataclasses.asdict(cell),
-                "file": f"{FOLDER}/{keys[cell]}.parquet",
-                "sha256": digests[cell],
+                **dataclasses.asdict(spec.cell),
+                "file": f"{FOLDER}/{spec.key}.parquet",
+                "sha256": digests[spec.cell],
             }
-            for cell in config.cells()
+            for spec in sweep.cells
         ],
         "seed": config.seed,
         "engine": config.engine,
@@ -87,8 +85,8 @@ def manifest(
         "physics": dataclasses.asdict(physics)
         | {"substep_s": physics.substep_s, "contact_slots": MAX_CONTACTS},
         "planner": dataclasses.asdict(config.planner()),
-        "scenes": _scenes(setup),
-        "predictors": setup.predictor_files,
+        "scenes": _scenes(sweep),
+        "predictors": sweep.predictor_files,
         **environment(),
         "origins": origins(tables.values()),
         "files": {name: sha256(data) for name, data in files.items()},
@@ -99,52 +97,52 @@ def run_record(
     config: SweepConfig,
     *,
     kept: Iterable[Cell],
-    efforts: Iterable[BatchStats],
+    stats: Iterable[BatchStats],
     wall_s: float,
     cells_s: float,
     together: int,
-    again: int,
+    retried: int,
 ) -> dict[str, Any]:
-    """How a sweep was run, the last time.
+    """The content of `run.json`: how a sweep was run the last time.
 
     Args:
       config: of the sweep.
       kept: cells that were finished before.
-      efforts: one a batch.
+      stats: of each batch.
       wall_s: time of this run, s, compilation included.
       cells_s: of it, until the last cell was there.
-      together: sweeps that were run as one; efforts and time are of all of them.
-      again: cells that were sent again, after a worker's death.
+      together: sweeps that were run as one; stats and time are of all of them.
+      retried: cells that were computed again, after a worker's death.
     """
-    efforts, kept = list(efforts), set(kept)
-    used, computed = sum(e.used for e in efforts), sum(e.computed for e in efforts)
+    stats, kept = list(stats), set(kept)
+    used, computed = sum(s.used for s in stats), sum(s.computed for s in stats)
     return {
         "out": str(config.out),
         "host": host(),
         "workers": config.scheduler or config.processes(),
-        "batches": len(efforts),
+        "batches": len(stats),
         "cells_kept": [cell.name for cell in config.cells() if cell in kept],
-        "cells_sent_again": again,
+        "cells_sent_again": retried,
         "wall_clock": {
             "wall_s": wall_s,
             "cells_s": cells_s,
-            "compile_s": [effort.compile_s for effort in efforts],
-            "engine_s": [effort.engine_s for effort in efforts],
-            "answering_s": [effort.answering_s for effort in efforts],
-            "batch_s": [effort.wall_s for effort in efforts],
+            "compile_s": [batch.compile_s for batch in stats],
+            "engine_s": [batch.engine_s for batch in stats],
+            "answering_s": [batch.answering_s for batch in stats],
+            "batch_s": [batch.wall_s for batch in stats],
             "sweeps_run_together": together,
             "note": "wall_s is of the cells that were not kept, of all sweeps that were run "
             "together; a batch's time includes compile_s, of a process's first call, with the "
             "compilation of its programs where they were not cached",
         },
         "iterations": {
-            "of_robots": sum(e.iterations for e in efforts),
-            "computed": sum(e.steps for e in efforts),
+            "of_robots": sum(s.iterations for s in stats),
+            "computed": sum(s.steps for s in stats),
             "note": "computed: once for all fleets of a batch that go the same way; with those "
             "that operators imagine",
         },
         "occupancy": {
-            "calls": sum(e.calls for e in efforts),
+            "calls": sum(s.calls for s in stats),
             "used": used,
             "computed": computed,
             "share": used / computed if computed else None,
@@ -152,12 +150,13 @@ def run_record(
     }
 
 
-def _scenes(setup: Setup) -> dict[str, Any]:
-    if setup.files is None:
-        return {"class": setup.config.sampled_class(), "objects": setup.n_objects}
+def _scenes(sweep: ResolvedSweep) -> dict[str, Any]:
+    scenes = sweep.scenes
+    if scenes.files is None:
+        return {"class": scenes.scene_class, "objects": scenes.n_objects}
     return {
-        "folder": str(setup.config.scenes),
-        "files": len(setup.files),
-        "sha256": scenes_digest(setup.files),
-        "objects": setup.n_objects,
+        "folder": str(sweep.config.scenes),
+        "files": len(scenes.files),
+        "sha256": scenes.digest,
+        "objects": scenes.n_objects,
     }

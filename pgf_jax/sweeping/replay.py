@@ -1,4 +1,4 @@
-"""Replays recorded sessions."""
+"""Replays recorded sessions, and compares a replay with its log."""
 
 import dataclasses
 import math
@@ -13,53 +13,49 @@ from pgf_jax.simulation.recorded_operator import REPLAY, Recording
 from pgf_jax.simulation.runner import FleetRunner
 from pgf_jax.simulation.snapshot import FleetSnapshot
 from pgf_jax.sweeping.config import SweepConfig
-from pgf_jax.sweeping.resolve import prepare
+from pgf_jax.sweeping.resolve import resolve
 from pgf_jax.tables.event_log import EventLog, first_difference, read_log
 
 
 def replay(
     path: Path | str, *, on_task_end: Callable[[int, Robot], None] | None = None
 ) -> tuple[FleetRunner, EventLog]:
-    """A recorded session, at its beginning, and its log.
+    """Set up the replay of a recorded session, before its first event; returns its log too.
 
     Raises:
       BadInput: it is no session's log, or its settings cannot be used here.
     """
     log = read_log(path)
-    config = replaying(SweepConfig(operator=REPLAY, log=Path(path)), log)
-    setup = prepare(config)
-    (cell,) = config.cells()
-    return FleetRunner.of(setup, cell, on_task_end=on_task_end), log
+    (cell,) = resolve(replay_config(SweepConfig(operator=REPLAY, log=Path(path)), log)).cells
+    return FleetRunner.of(cell.fleet, on_task_end=on_task_end), log
 
 
 def snapshots(
     path: Path | str, *, every_ns: int, start_ns: int = 0, stop_ns: int | None = None
 ) -> Iterator[FleetSnapshot]:
-    """What there was to see in a recorded session, at regular times.
+    """Replay a recorded session, and yield what a person may see of it at regular times.
 
     Args:
       path: its log.
-      every_ns: simulated time from one to the next, ns.
+      every_ns: simulated time from one snapshot to the next, ns.
       start_ns, stop_ns: simulated times of the first, and of the last at most; None: the end.
 
     Raises:
-      BadInput: as in `replay`; or, at the end, the session went another way here.
+      BadInput: as in `replay`; or, at the end, the replay's events differ from the log.
     """
-    play, log = replay(path)
+    runner, log = replay(path)
     time_ns = start_ns
     while stop_ns is None or time_ns <= stop_ns:
-        play.run_until(time_ns)
-        yield play.watch.snapshot(time_ns)
-        if play.fleet.done:
+        runner.run_until(time_ns)
+        yield runner.observer.snapshot(time_ns)
+        if runner.fleet.done:
             break
         time_ns += every_ns
-    if play.fleet.done:
-        difference = compare(play.fleet.events, log)
+    if runner.fleet.done:
+        difference = replay_difference(runner.fleet.events, log)
         if difference is not None:
             raise BadInput(difference)
 
-
-# -- settings ------------------------------------------------------------------------------------
 
 _OWN = ("operator", "log", "out", "resume", "workers")  # of a replay itself
 
@@ -70,7 +66,7 @@ def settings_of(config: Any) -> dict[str, Any]:
     return {name: _plain(value) for name, value in settings.items() if name not in _OWN}
 
 
-def replaying(config: SweepConfig, log: EventLog) -> SweepConfig:
+def replay_config(config: SweepConfig, log: EventLog) -> SweepConfig:
     """The configuration of the recorded fleet, to be replayed.
 
     Args:
@@ -83,7 +79,7 @@ def replaying(config: SweepConfig, log: EventLog) -> SweepConfig:
     recorded = log.settings
     if recorded is None:
         raise BadInput(f"{log.path}: does not say its settings, expected the log of a session")
-    values = agreed(settings_of(config), settings_of(SweepConfig()), recorded, log.path)
+    values = agreed_settings(settings_of(config), settings_of(SweepConfig()), recorded, log.path)
     try:
         replay = dataclasses.replace(config, **values)
         (cell,) = replay.cells()
@@ -104,10 +100,10 @@ def replaying(config: SweepConfig, log: EventLog) -> SweepConfig:
     return replay
 
 
-def agreed(
+def agreed_settings(
     ours: Mapping[str, Any], defaults: Mapping[str, Any], recorded: Mapping[str, Any], path: Path
 ) -> dict[str, Any]:
-    """Recorded settings, where ours are the same or not given.
+    """The recorded settings; ours must be the same or not given.
 
     Raises:
       BadInput: one that is given differs, or the log lacks one.
@@ -123,8 +119,8 @@ def agreed(
     return {name: recorded[name] for name in ours}
 
 
-def compare(events: list[Event], log: EventLog) -> str | None:
-    """Where a replay went another way than its log, in words; None: nowhere."""
+def replay_difference(events: list[Event], log: EventLog) -> str | None:
+    """The first difference between a replay and its log, in words; None: there is none."""
     number = first_difference(events, log.events)
     if number is None:
         return None

@@ -1,4 +1,4 @@
-"""What a sweep shows: its progress while it runs, its summary when it has ended."""
+"""Shows a sweep: its progress while it runs, its summary when it has ended."""
 
 import json as json_module
 import math
@@ -9,27 +9,18 @@ from typing import Any
 
 import polars as pl
 from rich.console import Console, Group
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import TaskID, TextColumn
 from rich.table import Table
 
 from pgf_jax.fleet.metrics import NS_PER_HOUR, CellSummary, Interval
-from pgf_jax.sweeping.run_cells import Job
+from pgf_jax.sweeping.resolve import CellSpec
+from pgf_jax.terminal import Progress
 
-LINE_EVERY_S = 30.0  # where there is no terminal to draw on
-DRAW_EVERY_S = 0.1  # with thousands of cells, to add them up after every call would take long
 BARS = 16  # more cells than these share one bar
 
 
 class Report:
-    """Progress on a terminal as bars, elsewhere as a line now and then; a `dispatch.Listener`.
+    """Shows the progress of a sweep; a `dispatch.SweepListener`.
 
     Use it as a context. With `quiet` it says nothing at all; with `json`, a line of JSON for each
     cell that is finished, on standard output, besides what is said on standard error.
@@ -37,8 +28,8 @@ class Report:
 
     def __init__(
         self,
-        jobs: Sequence[Job],
-        kept: Iterable[Job],
+        cells: Sequence[CellSpec],
+        kept: Iterable[CellSpec],
         console: Console,
         *,
         quiet: bool = False,
@@ -46,122 +37,106 @@ class Report:
     ) -> None:
         kept = set(kept)
         self._console, self._quiet, self._json = console, quiet, json and not quiet
-        self.sent_again = 0
-        self._tasks = {job: job.cell.robots * job.cell.tasks for job in jobs if job not in kept}
+        self.retried_cells = 0
+        self._tasks = {cell: cell.tasks for cell in cells if cell not in kept}
         self._done = dict.fromkeys(self._tasks, 0)
         self._time_ns = dict.fromkeys(self._tasks, 0)
-        self._finished: set[Job] = set()
-        self._start = self._last = time.monotonic()
+        self._finished: set[CellSpec] = set()
+        self._start = time.monotonic()
         self._first: float | None = None  # the first call has ended: nothing compiles any more
-        self._live = console.is_terminal and not quiet
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("tasks, {task.fields[hours]:.2f} h simulated"),
-            TextColumn("{task.fields[rate]}"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=console,
-        )
-        self._bars: dict[Job, TaskID] = {}
-        self._several = len({job.sweep for job in jobs}) > 1
+        hours = TextColumn("tasks, {task.fields[hours]:.2f} h simulated")
+        columns = (hours, TextColumn("{task.fields[rate]}"))
+        self._display = Progress("all", columns=columns, console=console, keep=True, quiet=quiet)
+        self._bars: dict[CellSpec, TaskID] = {}
+        self._several = len({cell.sweep for cell in cells}) > 1
         if len(kept) > BARS:
             self._say(f"kept: {len(kept)} cells")
         elif kept:
-            self._say(f"kept: {', '.join(self._name(job) for job in jobs if job in kept)}")
+            self._say(f"kept: {', '.join(self._name(cell) for cell in cells if cell in kept)}")
 
     def __enter__(self) -> "Report":
-        if self._live:
-            total = sum(self._tasks.values())
-            self._all = self._progress.add_task("all", total=total, hours=0.0, rate="")
+        if self._display.live:
+            no = {"hours": 0.0, "rate": ""}
+            self._all = self._display.add_bar("all", sum(self._tasks.values()), **no)
             if len(self._tasks) <= BARS:
-                for job, tasks in self._tasks.items():
-                    label = f"{job.cell.policy}, R = {job.cell.robots}"
-                    self._bars[job] = self._progress.add_task(
-                        label, total=tasks, hours=0.0, rate=""
-                    )
-            self._progress.start()
+                for cell, tasks in self._tasks.items():
+                    label = f"{cell.cell.policy}, R = {cell.cell.robots}"
+                    self._bars[cell] = self._display.add_bar(label, tasks, **no)
+        self._display.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._live:
+        if self._display.live:
             self._draw()
-            self._progress.stop()
+        self._display.__exit__()
 
-    def progress(self, job: Job, tasks: int, time_ns: int) -> None:
-        """See `Listener.progress`."""
-        self._done[job], self._time_ns[job] = tasks, time_ns
+    def progress(self, cell: CellSpec, tasks: int, time_ns: int) -> None:
+        """See `SweepListener.progress`."""
+        self._done[cell], self._time_ns[cell] = tasks, time_ns
         self._first = self._first or time.monotonic()
         self._show()
 
-    def finished(self, job: Job, account: Mapping[str, Any]) -> None:
-        """See `Listener.finished`."""
+    def finished(self, cell: CellSpec, account: Mapping[str, Any]) -> None:
+        """See `SweepListener.finished`."""
         # Tasks that the horizon left unbegun are not waited for.
-        self._done[job] = self._tasks[job]
-        self._finished.add(job)
+        self._done[cell] = self._tasks[cell]
+        self._finished.add(cell)
         self._show()
         if self._json:
-            self._print_json(job, account)
-        if not self._live and len(self._tasks) <= BARS:
-            self._line(f"finished {self._name(job)}; ")
+            self._print_json(cell, account)
+        if not self._display.live and len(self._tasks) <= BARS:
+            self._line(f"finished {self._name(cell)}; ")
 
-    def again(self, jobs: int, why: str) -> None:
-        """See `Listener.again`."""
-        self.sent_again += jobs
-        self._say(f"{why}: {jobs} cells are computed again")
+    def retried(self, cells: int, why: str) -> None:
+        """See `SweepListener.retried`."""
+        self.retried_cells += cells
+        self._say(f"{why}: {cells} cells are computed again")
 
     def interrupted(self, *out: object) -> None:
-        """Say what is there and how to go on."""
+        """Say what is kept, and how to go on."""
         where = str(out[0]) if len(out) == 1 else f"{out[0]} .. {out[-1]}"
         self._say(
             f"interrupted: {len(self._finished)} of {len(self._tasks)} cells were finished and are "
             f"kept in {where}; the same command with --resume computes the others"
         )
 
-    def _name(self, job: Job) -> str:
-        return f"{job.sweep}:{job.cell.name}" if self._several else job.cell.name
+    def _name(self, cell: CellSpec) -> str:
+        return f"{cell.sweep}:{cell.name}" if self._several else cell.name
 
     def _show(self) -> None:
-        now = time.monotonic()
-        if self._live and now - self._last > DRAW_EVERY_S:
-            self._last = now
-            self._draw()
-        elif not self._live and now - self._last > LINE_EVERY_S:
-            self._line()
+        if self._display.is_due():
+            self._draw() if self._display.live else self._line()
 
     def _draw(self) -> None:
-        hours = {job: ns / NS_PER_HOUR for job, ns in self._time_ns.items()}
-        for job, bar in self._bars.items():
-            self._progress.update(bar, completed=self._done[job], hours=hours[job])
+        hours = {cell: ns / NS_PER_HOUR for cell, ns in self._time_ns.items()}
+        for cell, bar in self._bars.items():
+            self._display.update_bar(bar, self._done[cell], hours=hours[cell])
         done, rate, _ = self._pace()
-        self._progress.update(
-            self._all, completed=done, hours=sum(hours.values()), rate=f"{rate:.1f}/s"
-        )
+        total_hours = sum(hours.values())
+        self._display.update_bar(self._all, done, hours=total_hours, rate=f"{rate:.1f}/s")
 
     def _pace(self) -> tuple[int, float, float]:
-        """Tasks done, tasks/s, and the s that are left by it; compilation does not count."""
+        """Tasks done, tasks/s, and s left at that rate; compilation does not count."""
         done, total = sum(self._done.values()), sum(self._tasks.values())
         elapsed = max(time.monotonic() - (self._first or self._start), 1e-9)
         return done, done / elapsed, elapsed * (total - done) / max(done, 1)
 
     def _line(self, head: str = "") -> None:
-        now = self._last = time.monotonic()
         total = sum(self._tasks.values())
         done, rate, left = self._pace()
         estimate = f", {rate:.1f} tasks/s, about {left:.0f} s left" if 0 < done < total else ""
         hours = sum(self._time_ns.values()) / NS_PER_HOUR
         self._say(
             f"{head}{done}/{total} tasks, {len(self._finished)}/{len(self._tasks)} cells, "
-            f"{hours:.2f} h simulated, {now - self._start:.0f} s{estimate}"
+            f"{hours:.2f} h simulated, {time.monotonic() - self._start:.0f} s{estimate}"
         )
 
-    def _print_json(self, job: Job, account: Mapping[str, Any]) -> None:
+    def _print_json(self, cell: CellSpec, account: Mapping[str, Any]) -> None:
         done, rate, left = self._pace()
         line = {
-            "sweep": job.sweep,
-            "cell": job.cell.name,
-            "tasks": job.cell.robots * job.cell.tasks,
+            "sweep": cell.sweep,
+            "cell": cell.name,
+            "tasks": cell.tasks,
             **{name: account.get(name) for name in ("sha256", "wall_s", "attempt")},
             "host": (account.get("host") or {}).get("name"),
             "cells_done": len(self._finished),
@@ -202,8 +177,8 @@ def summary_tables(summaries: Sequence[CellSummary]) -> Group:
     return Group(outcome, help_)
 
 
-def numbers(summaries: Sequence[CellSummary], tasks: pl.DataFrame, seed: int) -> str:
-    """What is to be known of the physics: where it was not finite, where contacts were dropped."""
+def physics_line(summaries: Sequence[CellSummary], tasks: pl.DataFrame, seed: int) -> str:
+    """A line about the physics: what was not finite, and where contact slots were full."""
     lost, full = (sum(getattr(s, name) for s in summaries) for name in ("non_finite", "saturated"))
     where = ""
     if lost:

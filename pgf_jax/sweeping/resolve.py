@@ -1,200 +1,201 @@
-"""What a sweep reads before it starts: scenes, predictors; and what its results depend on."""
+"""Resolves a sweep's configuration: reads its inputs, and says what each cell is computed from.
+
+The configuration stops here: what computes a cell knows its `CellSpec` alone.
+"""
 
 import dataclasses
-import hashlib
 import json
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pgf_jax.batching.requests import GainPredictor
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import sha256
-from pgf_jax.fleet import Fleet
 from pgf_jax.fleet.config import Cell
-from pgf_jax.fleet.robots import Robots
-from pgf_jax.guidance.operators.base import AnyOperator
-from pgf_jax.guidance.operators.registry import check_operator, make_operator
+from pgf_jax.guidance.operators.registry import check_operator
 from pgf_jax.guidance.predictors.checkpoint import PAIR, checkpoint_name, shipped_checkpoints
 from pgf_jax.guidance.predictors.registry import NETWORKS, PredictorSpec, predictor_spec
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.physics.config import PHYSICS
-from pgf_jax.planning.config import Planner
 from pgf_jax.provenance import DECISIVE, device, environment, versions
-from pgf_jax.scene import Scene, load_scenes, sample_scene
-from pgf_jax.scene.sampling import OBJECTS, PRESETS
+from pgf_jax.scene import Scene, load_scenes
+from pgf_jax.simulation.fleet_spec import FleetSpec, TaskScenes
 from pgf_jax.simulation.recorded_operator import LIVE, REPLAY, Recording
-from pgf_jax.streams import stream
-from pgf_jax.sweeping.config import SweepConfig
+from pgf_jax.sweeping import cell_file
+from pgf_jax.sweeping.config import INPUTS, SweepConfig
 from pgf_jax.tables.event_log import read_log
 
 FORMAT = 3  # of the results folder
 
-
-@dataclasses.dataclass(frozen=True)
-class Setup:
-    """A configuration and the contents of the files it names; can be sent to another process.
-
-    Attributes:
-      config: the sweep's.
-      files: the scenes of its folder, or None where scenes are sampled.
-      bidder: the predictor, or None where there is none and none is needed.
-      classifier: what the policy `classifier` bids by; None where it is not run.
-      predictor_files: per network: digest of its file, and what it was trained on.
-      n_objects: N of every scene.
-      recording: the operator of a recorded session, where there is one.
-    """
-
-    config: SweepConfig
-    files: tuple[Scene, ...] | None
-    bidder: GainPredictor | None
-    classifier: GainPredictor | None
-    predictor_files: Mapping[str, Mapping[str, Any]]
-    n_objects: int
-    recording: Recording | None = None
-
-    def operator(self) -> AnyOperator:
-        """Who gives the input."""
-        return self.recording or make_operator(self.config.operator)
-
-    def new_fleet(self, cell: Cell, planned: Robots) -> Fleet:
-        """The fleet of a cell."""
-        if self.recording is None:
-            return Fleet(self.config.fleet(cell), planned)
-        return Fleet(
-            self.config.fleet(cell),
-            planned,
-            service=self.recording,
-            attendance=self.recording.attendance,
-        )
-
-    def bidder_of(self, cell: Cell) -> GainPredictor | TrueGain | None:
-        """Where the numbers come from that a cell's robots may bid; they are logged in any case."""
-        if cell.policy == "oracle-gain":
-            return TrueGain()
-        return self.classifier if cell.policy == "classifier" else self.bidder
-
-    def networks_of(self, cell: Cell) -> list[str]:
-        """The networks in it."""
-        if cell.policy == "oracle-gain":
-            return []
-        classify = cell.policy == "classifier"
-        return [n for n in self.predictor_files if (n in NETWORKS["classifier"]) == classify]
-
-    def compile_key(self) -> tuple[str, str, Planner, int, int]:
-        """What is compiled for it: engine, physics, planner, lanes, N."""
-        c = self.config
-        return c.engine, c.physics, c.planner(), c.engine_lanes(), self.n_objects
-
-    def cache_key(self) -> Hashable:
-        """What a task's tree depends on (`trees.py`)."""
-        c = self.config
-        scenes = c.sampled_class() if self.files is None else scenes_digest(self.files)
-        said = None if self.recording is None else self.recording.sha256
-        return self.compile_key(), c.seed, scenes, c.operator, said
-
-    def scene(self, robot: int, task: int) -> Scene:
-        """The scene of a task: of (seed, robot, task), whatever the policy and the fleet's size."""
-        return task_scene(self.config, self.files, robot, task)
-
-    def scene_name(self, robot: int, task: int) -> str:
-        """Its name, without packing a sampled scene again."""
-        if self.files is not None:
-            return self.scene(robot, task).name
-        return _sampled_name(self.config, robot, task)
-
-
+# Predictors that were loaded, and for each network: digest of its file, what it was trained on.
 Loaded = dict[PredictorSpec, tuple[GainPredictor, dict[str, dict[str, Any]]]]
 
 
-def prepare(config: SweepConfig, loaded: Loaded | None = None) -> Setup:
-    """Load what a sweep is given, and check it.
+@dataclasses.dataclass(frozen=True, eq=False)
+class CellSpec:
+    """A cell of a sweep, and all that it is computed from; can be sent to another process.
+
+    Attributes:
+      sweep: number of its sweep among those that are run together.
+      cell: policy and sizes.
+      key: of its file, the digest of `identity`.
+      identity: everything that its results depend on, as JSON; neither workers nor other cells.
+      fleet: what is simulated.
+      settings: of the sweep that decide on it, as arguments of a sweep of it alone.
+      inputs: where scenes, checkpoints and log are; their content decides, so it is in `identity`.
+      out: folder of the results.
+    """
+
+    sweep: int
+    cell: Cell
+    key: str
+    identity: Mapping[str, Any]
+    fleet: FleetSpec
+    settings: Mapping[str, Any]
+    inputs: Mapping[str, str | None]
+    out: Path
+
+    @property
+    def name(self) -> str:
+        """The cell's name, policy and size."""
+        return self.cell.name
+
+    @property
+    def tasks(self) -> int:
+        """Number of tasks of all its robots."""
+        return self.cell.robots * self.cell.tasks
+
+    @property
+    def path(self) -> Path:
+        """The cell's file."""
+        return cell_file.path(self.out, self.key)
+
+    def about(self) -> dict[str, Any]:
+        """Where the cell's results come from, for its file: so that it can be computed again."""
+        return {
+            "identity": self.identity,
+            "config": json.loads(json.dumps(self.settings)),
+            **json.loads(json.dumps(environment())),
+        }
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ResolvedSweep:
+    """A sweep whose inputs have been read.
+
+    Attributes:
+      config: its configuration.
+      cells: in the order of the configuration.
+      scenes: of its tasks.
+      predictor_files: of each network: digest of its file, and what it was trained on.
+    """
+
+    config: SweepConfig
+    cells: tuple[CellSpec, ...]
+    scenes: TaskScenes
+    predictor_files: Mapping[str, Mapping[str, Any]]
+
+
+def resolve(config: SweepConfig, loaded: Loaded | None = None, *, number: int = 0) -> ResolvedSweep:
+    """Read what a sweep is given, check it, and specify its cells.
 
     Args:
       config: the sweep's.
       loaded: predictors that other sweeps of the same run have loaded; added to.
+      number: of the sweep among those that are run together.
 
     Raises:
       BadInput: one line that names the field or the file.
     """
-    recording = None
+    recording = _recording(config)
+    scenes = task_scenes(config, _scene_files(config))
+    predictor, classifier, files = _predictors(config, {} if loaded is None else loaded)
+
+    def spec(cell: Cell) -> CellSpec:
+        oracle, classify = cell.policy == "oracle-gain", cell.policy == "classifier"
+        fleet = FleetSpec(
+            config=config.fleet(cell),
+            engine=config.engine,
+            physics=config.physics,
+            planner=config.planner(),
+            lanes=config.engine_lanes(),
+            scenes=scenes,
+            operator=config.operator,
+            # Robots' numbers are logged under every policy, whether it bids them or not.
+            predictor=TrueGain() if oracle else classifier if classify else predictor,
+            recording=recording,
+        )
+        networks = [n for n in files if (n in NETWORKS["classifier"]) == classify and not oracle]
+        identity = _identity(fleet, {name: files[name]["sha256"] for name in networks})
+        return CellSpec(
+            sweep=number,
+            cell=cell,
+            key=cell_file.key(identity),
+            identity=identity,
+            fleet=fleet,
+            settings=config.of_cell(cell),
+            inputs=config.inputs(),
+            out=config.out,
+        )
+
+    return ResolvedSweep(config, tuple(map(spec, config.cells())), scenes, files)
+
+
+def task_scenes(config: SweepConfig, files: tuple[Scene, ...] | None = None) -> TaskScenes:
+    """The scenes of a sweep's tasks; `files`: those of its folder, None: sample."""
+    return TaskScenes(config.seed, config.sampled_class() if files is None else None, files)
+
+
+def _recording(config: SweepConfig) -> Recording | None:
     if config.operator == REPLAY:
         assert config.log is not None
-        recording = Recording.of(read_log(config.log))
-    elif config.operator != LIVE:
+        return Recording.of(read_log(config.log))
+    if config.operator != LIVE:
         check_operator(config.operator)
-    files = None
-    n_objects = OBJECTS
-    if config.scenes is not None:
-        files = tuple(load_scenes(config.scenes))
-        n_objects = len(files[0].objects)
-        for scene in files:
-            if len(scene.objects) != n_objects:
-                raise BadInput(
-                    f"{config.scenes}: {scene.name} has {len(scene.objects)} objects, expected "
-                    f"{n_objects} as in {files[0].name}"
-                )
-    loaded = {} if loaded is None else loaded
+    return None
 
-    def load(chosen: PredictorSpec) -> tuple[GainPredictor, dict[str, dict[str, Any]]]:
-        if chosen not in loaded:
-            loaded[chosen] = _load(chosen)
-        return loaded[chosen]
 
-    chosen = predictor_spec(config.predictor)
-    policies = {cell.policy for cell in config.cells()}
-    bidder, described = None, {}
+def _scene_files(config: SweepConfig) -> tuple[Scene, ...] | None:
+    if config.scenes is None:
+        return None
+    files = tuple(load_scenes(config.scenes))
+    n_objects = len(files[0].objects)
+    for scene in files:
+        if len(scene.objects) != n_objects:
+            raise BadInput(
+                f"{config.scenes}: {scene.name} has {len(scene.objects)} objects, expected "
+                f"{n_objects} as in {files[0].name}"
+            )
+    return files
+
+
+def _predictors(
+    config: SweepConfig, loaded: Loaded
+) -> tuple[GainPredictor | None, GainPredictor | None, dict[str, dict[str, Any]]]:
+    """The predictor of gains, the classifier of the policy of that name, and their files."""
+
+    def load(spec: PredictorSpec) -> tuple[GainPredictor, dict[str, dict[str, Any]]]:
+        if spec not in loaded:
+            loaded[spec] = _load(spec)
+        return loaded[spec]
+
+    spec = predictor_spec(config.predictor)
+    predictor, classifier, files = None, None, {}
     # Gains are logged under all policies alike, where there are networks to predict them.
     if config.predictor != "paper" or config.needs_gains() or _shipped():
-        bidder, described = load(chosen)
-    classifier = None
-    if "classifier" in policies:
-        classifier, more = load(PredictorSpec("classifier", chosen.folder))
-        described = described | more
-    return Setup(config, files, bidder, classifier, described, n_objects, recording)
+        predictor, files = load(spec)
+    if "classifier" in {cell.policy for cell in config.cells()}:
+        classifier, more = load(PredictorSpec("classifier", spec.folder))
+        files = files | more
+    return predictor, classifier, files
 
 
-def task_scene(
-    config: SweepConfig, files: tuple[Scene, ...] | None, robot: int, task: int
-) -> Scene:
-    """The scene of a robot's task, by (seed, robot, task).
-
-    Sampled scenes have the key [seed, robot, task]. Of scene files, each robot takes a permutation
-    of all of them, then another one, and so on.
-
-    Args:
-      config: seed and class.
-      files: scenes to draw from, or None to sample.
-      robot, task: 0-based.
-    """
-    if files is None:
-        key = np.array([config.seed, robot, task], np.uint32)
-        return sample_scene(
-            key, _class_of_task(config, robot, task), name=_sampled_name(config, robot, task)
-        )
-    turn, place = divmod(task, len(files))
-    # Raw bits: NumPy keeps a bit generator's output fixed for ever, but not a Generator's.
-    bits = stream(config.seed, "scenes", robot, turn).bit_generator.random_raw(len(files))
-    return files[int(np.argsort(bits, kind="stable")[place])]
-
-
-def _class_of_task(config: SweepConfig, robot: int, task: int) -> str:
-    name = config.sampled_class()
-    assert name is not None
-    # In turn, and shifted from robot to robot: the classes are mixed over the fleet at all times.
-    return [*PRESETS][(robot + task) % len(PRESETS)] if name == "all" else name
-
-
-def _sampled_name(config: SweepConfig, robot: int, task: int) -> str:
-    return f"{_class_of_task(config, robot, task)}_{config.seed}_{robot}_{task}"
-
-
-def _load(chosen: PredictorSpec) -> tuple[GainPredictor, dict[str, dict[str, Any]]]:
-    bidder, checkpoints = chosen.load()
-    return bidder, {
+def _load(spec: PredictorSpec) -> tuple[GainPredictor, dict[str, dict[str, Any]]]:
+    predictor, checkpoints = spec.load()
+    return predictor, {
         checkpoint.network: {
-            "sha256": sha256((chosen.files() / checkpoint_name(checkpoint.network)).read_bytes()),
+            "sha256": sha256((spec.files() / checkpoint_name(checkpoint.network)).read_bytes()),
             "data_sha256": checkpoint.data_sha256,
             "scenes": checkpoint.scenes,
             "rows": checkpoint.rows,
@@ -212,45 +213,69 @@ def _shipped() -> bool:
     return any((folder / checkpoint_name(network)).is_file() for network in PAIR)
 
 
-def identity(setup: Setup, cell: Cell) -> dict[str, Any]:
-    """Everything that a cell's results depend on, as JSON has it; not workers, not other cells."""
-    config, files = setup.config, setup.files
+def _identity(fleet: FleetSpec, predictors: Mapping[str, str]) -> dict[str, Any]:
+    """Everything that a cell's results depend on, as JSON; `predictors`: network -> digest."""
     content = {
         "format": FORMAT,
-        "fleet": dataclasses.asdict(config.fleet(cell)),
-        "engine": config.engine,
-        "lanes": config.engine_lanes(),
-        "physics": dataclasses.asdict(PHYSICS[config.physics]),
-        "planner": dataclasses.asdict(config.planner()),
-        "scene_class": config.sampled_class(),
-        "scenes": None if files is None else scenes_digest(files),
-        "operator": config.operator,
-        **({} if setup.recording is None else {"log": setup.recording.sha256}),
-        "predictors": {n: setup.predictor_files[n]["sha256"] for n in setup.networks_of(cell)},
+        "fleet": dataclasses.asdict(fleet.config),
+        "engine": fleet.engine,
+        "lanes": fleet.lanes,
+        "physics": dataclasses.asdict(PHYSICS[fleet.physics]),
+        "planner": dataclasses.asdict(fleet.planner),
+        "scene_class": fleet.scenes.scene_class,
+        "scenes": fleet.scenes.digest,
+        "operator": fleet.operator,
+        **({} if fleet.recording is None else {"log": fleet.recording.sha256}),
+        "predictors": predictors,
         "versions": {name: versions()[name] for name in DECISIVE},
         "device": device(),
     }
     return json.loads(json.dumps(content))
 
 
-def provenance(setup: Setup, cell: Cell) -> dict[str, Any]:
-    """Where a cell's results come from, for its file: to be understood, and computed, once more.
+def differences(theirs: Any, ours: Mapping[str, Any]) -> str:
+    """Where two identities differ, in words; empty where they do not."""
+    if not isinstance(theirs, dict):
+        return "it does not say which"
+    words = []
+    for key in [*ours, *(key for key in theirs if key not in ours)]:
+        a, b = theirs.get(key), ours.get(key)
+        if isinstance(a, dict) and isinstance(b, dict):
+            inner = differences(a, b)
+            words += [inner] if inner else []
+        elif a != b or (key in theirs) != (key in ours):
+            words.append(f"{_short(key)} {_short(a)}, now {_short(b)}")
+    return "; ".join(words)
 
-    Where its inputs lay (scenes, checkpoints, the log) is not in it, as that decides on nothing;
-    their digests are, in `identity`.
+
+def _short(value: object) -> str:
+    text = value if isinstance(value, str) and value.isprintable() else short_repr(value, 40)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def config_of(about: Mapping[str, Any], inputs: Mapping[str, Any], out: Path) -> SweepConfig:
+    """The configuration of a sweep of one stored cell alone.
+
+    Args:
+      about: of the cell, see `CellSpec.about`.
+      inputs: where scenes, checkpoints and log are, see `INPUTS`.
+      out: folder for the results.
+
+    Raises:
+      BadInput: what the cell says of its configuration cannot be one.
     """
-    content = {
-        "identity": identity(setup, cell),
-        "config": setup.config.of_cell(cell),
-        **environment(),
-    }
-    return json.loads(json.dumps(content))
-
-
-def scenes_digest(scenes: tuple[Scene, ...]) -> str:
-    """Digest of scenes, their names and their order."""
-    digest = hashlib.sha256()
-    for scene in scenes:
-        digest.update(f"{scene.name}\0{scene.goal}\0{len(scene.objects)}\0".encode())
-        digest.update(np.ascontiguousarray(scene.objects, "<f8").tobytes())
-    return digest.hexdigest()
+    settings = about.get("config")
+    if not isinstance(settings, dict):
+        raise BadInput("it does not say what its configuration was")
+    known = {field.name for field in dataclasses.fields(SweepConfig)}
+    unknown = sorted(settings.keys() - known)
+    if unknown:
+        raise BadInput(f"its configuration has {unknown[0]}, which a sweep has not")
+    given: dict[str, Any] = {**settings, "out": out}
+    for name in ("robots", "policies"):
+        if isinstance(given.get(name), list):
+            given[name] = tuple(given[name])
+    for name in INPUTS:
+        if inputs.get(name) is not None:
+            given[name] = inputs[name] if name == "predictor" else Path(inputs[name])
+    return SweepConfig(**given)

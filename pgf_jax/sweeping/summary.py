@@ -1,19 +1,19 @@
-"""Summaries of a sweep: `summary.csv` and `paired.csv`."""
+"""Tables that summarise a sweep: `summary.csv` and `paired.csv`."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import polars as pl
 
-from pgf_jax.fleet.metrics import CellSummary, Interval
+from pgf_jax.fleet.config import Cell
+from pgf_jax.fleet.metrics import CellSummary, Interval, paired_difference
 from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.planning.types import Status
 
-# -- tables ------------------------------------------------------------------------------------
-
 
 def summary_frame(summaries: Iterable[CellSummary]) -> pl.DataFrame:
-    """`summary.csv`: one row a cell, `CellSummary.row()`."""
+    """The table of `summary.csv`: one row for each cell."""
     return pl.DataFrame([summary.row() for summary in summaries], infer_schema_length=None)
 
 
@@ -29,7 +29,7 @@ PAIRED: Mapping[str, Callable[[TaskRecord], float]] = {
 
 @dataclasses.dataclass(frozen=True)
 class Paired:
-    """A row of `paired.csv`: how two policies differ on the same tasks.
+    """The difference of two policies on the same tasks: a row of `paired.csv`.
 
     Attributes:
       robots: R.
@@ -46,8 +46,24 @@ class Paired:
     difference: Interval
 
 
+def paired_differences(records: Mapping[Cell, Sequence[TaskRecord]]) -> list[Paired]:
+    """Paired differences of every two policies at every fleet size, the earlier minus the later."""
+    return [
+        Paired(
+            ours.robots,
+            ours.policy,
+            theirs.policy,
+            name,
+            paired_difference(records[ours], records[theirs], value),
+        )
+        for ours, theirs in itertools.combinations(records, 2)
+        if ours.robots == theirs.robots
+        for name, value in PAIRED.items()
+    ]
+
+
 def paired_frame(rows: Iterable[Paired]) -> pl.DataFrame:
-    """`paired.csv`: one row a fleet size, two policies and a value."""
+    """The table of `paired.csv`: one row for each fleet size, pair of policies and value."""
     schema = {"robots": pl.Int64(), "policy": pl.String(), "baseline": pl.String()}
     schema |= {"value": pl.String(), "mean": pl.Float64()}
     schema |= {"low": pl.Float64(), "high": pl.Float64(), "n": pl.Int64()}

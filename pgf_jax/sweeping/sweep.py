@@ -1,4 +1,8 @@
-"""`pgf_jax.sweep`: fleets of every size under every policy on the same scenes, and their files."""
+"""`pgf_jax.sweep`: fleets of every size under every policy on the same scenes, and their files.
+
+Read `sweeps` first: resolve, open the stores, compute the missing cells, read all cells, summarise,
+write the results, show them.
+"""
 
 import contextlib
 import dataclasses
@@ -19,34 +23,27 @@ from pgf_jax.fleet.metrics import CellSummary, summarise
 from pgf_jax.parallel.cluster import open_cluster
 from pgf_jax.parallel.local import LocalPool
 from pgf_jax.simulation.recorded_operator import LIVE
-from pgf_jax.sweeping import cell_store
-from pgf_jax.sweeping.cell_store import (
-    MANIFEST,
-    RESULTS,
-    RUN,
-    check_folder,
-    check_writable,
-    keys_of,
-    reopen,
-)
+from pgf_jax.sweeping import cell_file
+from pgf_jax.sweeping.cell_store import MANIFEST, RESULTS, RUN, CellStore
 from pgf_jax.sweeping.config import SweepConfig
 from pgf_jax.sweeping.dispatch import dispatch
 from pgf_jax.sweeping.figure6 import figure6
 from pgf_jax.sweeping.manifest import about, manifest, run_record
-from pgf_jax.sweeping.replay import compare, replaying
-from pgf_jax.sweeping.report import Report, numbers, summary_tables
-from pgf_jax.sweeping.resolve import Loaded, Setup, prepare
-from pgf_jax.sweeping.run_cells import Job
-from pgf_jax.sweeping.summary import Paired, csv, paired_frame, summary_frame
+from pgf_jax.sweeping.replay import replay_config, replay_difference
+from pgf_jax.sweeping.report import Report, physics_line, summary_tables
+from pgf_jax.sweeping.resolve import CellSpec, Loaded, ResolvedSweep, resolve
+from pgf_jax.sweeping.run_cells import BatchStats
+from pgf_jax.sweeping.summary import Paired, csv, paired_differences, paired_frame, summary_frame
 from pgf_jax.tables import results
 from pgf_jax.tables.event_log import read_log
+from pgf_jax.tables.parquet import encode_table
 
-TASKS_A_PROCESS = 60  # to fewer a process of their own is not worth its start
+TASKS_A_PROCESS = 60  # a process for fewer takes longer to start than it saves
 
 
 @dataclasses.dataclass(frozen=True)
 class SweepResult:
-    """What a sweep found; all of it is in files too.
+    """The results of a sweep; all of them are in files too.
 
     Attributes:
       out: their folder.
@@ -72,9 +69,9 @@ class SweepResult:
         """`events.parquet`: one row an event."""
         return results.read_results(self.out / "events.parquet", results.MERGED_EVENT_SCHEMA)
 
-    def cell(self, cell: Cell) -> cell_store.Content:
+    def cell(self, cell: Cell) -> cell_file.Content:
         """One cell's tables, and where they come from."""
-        return cell_store.read(self.files[cell])
+        return cell_file.read(self.files[cell])
 
 
 def sweep(
@@ -82,27 +79,27 @@ def sweep(
 ) -> SweepResult:
     """Run a sweep: every policy at every fleet size.
 
-    All cells of a process are computed in one queue of work (see `sweeps`); each is written as soon
-    as it is finished. With several workers, a script must call this under
+    All cells of a process share one queue of requests (see `sweeps`); each is written as soon as it
+    is finished. With several workers, a script must call this under
     `if __name__ == "__main__"`.
 
     Args:
       config: what to run.
       quiet: no progress (standard error), no table at the end (standard output).
-      executor: what computes the cells, in place of processes of this computer or of the
-        configuration's scheduler; it stays open.
+      executor: computes the cells, in place of processes of this computer or of the configuration's
+        scheduler; it stays open.
 
     Returns:
       The summaries. Files are in `config.out`: `tasks.parquet`, `events.parquet`, `summary.csv`,
-      `paired.csv`, `fig6.png`, `manifest.json`, and each cell's in `cells`, with `run.json` and
-      what stands beside each cell about how they came about. On one type of processor the same
-      configuration gives the same files, but for these, whoever computes it.
+      `paired.csv`, `fig6.png`, `manifest.json`, and each cell's in `cells`; `run.json`, and a file
+      beside each cell's, say how they were computed. On one type of processor the same
+      configuration gives the same files, but for the latter, whoever computes them.
 
     Raises:
       BadInput: the configuration, or a file it names, cannot be used; or the folder holds results
         of another configuration, or, on resuming, corrupt ones (nothing has been written then); or
         a file cannot be written (finished cells are kept).
-      Lost: what computes the cells is gone; finished cells are kept.
+      WorkersLost: what computes the cells is gone; finished cells are kept.
       KeyboardInterrupt: interrupted; finished cells are kept.
     """
     return sweeps([config], quiet=quiet, executor=executor)[0]
@@ -117,8 +114,8 @@ def sweeps(
 ) -> list[SweepResult]:
     """Run several sweeps as one: calls of the engine are fuller, and nothing is computed twice.
 
-    Fleets of one seed, class and operator go the same way until somebody is served at another
-    moment (`trees.py`), so a second policy, window, service time or fleet size costs little.
+    Fleets of one seed, class and operator share their searches until a robot is served at another
+    moment (`SearchCache`). So a second policy, window, service time or fleet size costs little.
 
     Args:
       configs: each with a folder of its own; `workers` is the largest of theirs.
@@ -127,62 +124,56 @@ def sweeps(
       executor: as in `sweep`.
 
     Returns:
-      What each found, and wrote, as if it had been run alone.
+      The results of each, as if it had been run alone.
 
     Raises:
       BadInput: as in `sweep`; or two have the same folder, or different schedulers.
-      Lost: as in `sweep`.
+      WorkersLost: as in `sweep`.
       KeyboardInterrupt: interrupted; finished cells are kept.
     """
     start = time.perf_counter()
     configs = [_as_recorded(config) for config in configs]
     _check_together(configs)
     loaded: Loaded = {}
-    setups = [prepare(config, loaded) for config in configs]
-    keys = [keys_of(setup) for setup in setups]
-    kept = [check_folder(setup, names) for setup, names in zip(setups, keys, strict=True)]
-    jobs = [Job(i, cell) for i, config in enumerate(configs) for cell in config.cells()]
-    finished = {job for job in jobs if job.cell in kept[job.sweep]}
-    _allow_files(len(configs))
+    stores = [CellStore(resolve(c, loaded, number=i)) for i, c in enumerate(configs)]
+    _allow_files(len(stores))
     with contextlib.ExitStack() as stack:
-        for config in configs:
-            stack.enter_context(cell_store.only_writer(config.out))
-            check_writable(config.out)
+        for store in stores:
+            stack.enter_context(store.open())
         as_json = any(config.json for config in configs)
-        report = Report(jobs, finished, Console(stderr=True), quiet=quiet, json=as_json)
-        with report:
+        cells = [cell for store in stores for cell in store.sweep.cells]
+        kept = [cell for store in stores for cell in store.kept]
+        with Report(cells, kept, Console(stderr=True), quiet=quiet, json=as_json) as report:
             try:
-                todo = [job for job in jobs if job not in finished]
-                names = {job: keys[job.sweep][job.cell] for job in jobs}
-                opener = _executor(configs, todo, executor)
-                for i in {job.sweep for job in todo}:
-                    reopen(configs[i].out)
-                begin = time.perf_counter()
-                efforts = dispatch(setups, todo, names, report, opener) if todo else []
-                cells_s = time.perf_counter() - begin
+                stats, cells_s = _compute(stores, report, executor)
             except KeyboardInterrupt:
                 report.interrupted(*(config.out for config in configs))
                 raise
         wall_s = time.perf_counter() - start
-        outcomes = []
-        for setup, own, cells_kept in zip(setups, keys, kept, strict=True):
-            outcome = _conclude(setup, own, cells_kept)
+        outcomes = [_write_results(store) for store in stores]
+        for store in stores:
             record = run_record(
-                setup.config,
-                kept=cells_kept,
-                efforts=efforts,
+                store.sweep.config,
+                kept=[spec.cell for spec in store.kept],
+                stats=stats,
                 wall_s=wall_s,
                 cells_s=cells_s,
-                together=len(configs),
-                again=report.sent_again,
+                together=len(stores),
+                retried=report.retried_cells,
             )
-            write_atomically(outcome.out / RUN, json_bytes(record))
-            outcomes.append(outcome)
+            write_atomically(store.out / RUN, json_bytes(record))
     for config, outcome in zip(configs, outcomes, strict=True):
-        _compare(config, outcome)
+        _check_replay(config, outcome)
         if tables and not quiet and not config.json:
             _show(config, outcome)
     return outcomes
+
+
+def _as_recorded(config: SweepConfig) -> SweepConfig:
+    """The configuration, with the settings of the recorded session that it replays, if any."""
+    if config.operator == LIVE:
+        raise BadInput("operator: live is for pgf-jax console; expected a simulated one")
+    return config if config.log is None else replay_config(config, read_log(config.log))
 
 
 def _check_together(configs: Sequence[SweepConfig]) -> None:
@@ -198,7 +189,7 @@ def _check_together(configs: Sequence[SweepConfig]) -> None:
 
 
 def _allow_files(folders: int) -> None:
-    """Each folder is kept open, and systems let a process open no more than 1024 unless it asks."""
+    """Raise the limit on open files, of which each folder needs one; the usual limit is 1024."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     needed = folders + 512
     if soft != resource.RLIM_INFINITY and soft < needed:
@@ -206,8 +197,23 @@ def _allow_files(folders: int) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, most), hard))
 
 
+def _compute(
+    stores: Sequence[CellStore], report: Report, executor: Executor | None
+) -> tuple[list[BatchStats], float]:
+    """Compute the missing cells; time and work of each batch, and the time of all, s."""
+    missing = [cell for store in stores for cell in store.missing]
+    if not missing:
+        return [], 0.0
+    opener = _executor([store.sweep.config for store in stores], missing, executor)
+    for store in stores:
+        if store.missing:
+            store.remove_merged()
+    begin = time.perf_counter()
+    return dispatch(missing, report, opener), time.perf_counter() - begin
+
+
 class _Borrowed(Executor):
-    """An executor of somebody else's: it stays open."""
+    """An executor of the caller's, which stays open."""
 
     def __init__(self, executor: Executor) -> None:
         self.submit = executor.submit
@@ -215,7 +221,7 @@ class _Borrowed(Executor):
 
 
 def _executor(
-    configs: Sequence[SweepConfig], todo: Sequence[Job], given: Executor | None
+    configs: Sequence[SweepConfig], missing: Sequence[CellSpec], given: Executor | None
 ) -> Callable[[], tuple[Executor, int]] | None:
     """What opens the executor; None where this process computes."""
     workers = max((config.processes() for config in configs), default=1)
@@ -223,50 +229,53 @@ def _executor(
         return lambda: (_Borrowed(given), workers)
     if configs and configs[0].scheduler is not None:
         return functools.partial(open_cluster, configs[0].scheduler)
-    workers = min(workers, len(todo))
+    workers = min(workers, len(missing))
     if all(config.workers is None for config in configs):
-        tasks = sum(cell.robots * cell.tasks for _, cell in todo)
-        workers = min(workers, 1 + tasks // TASKS_A_PROCESS)
+        workers = min(workers, 1 + sum(cell.tasks for cell in missing) // TASKS_A_PROCESS)
     if workers <= 1:
         return None
     return lambda: (LocalPool(workers), workers)
 
 
-def _conclude(setup: Setup, keys: Mapping[Cell, str], kept: set[Cell]) -> SweepResult:
-    """Summarise from the cells' files, so that kept and computed cells are treated alike."""
-    config = setup.config
-    files = {cell: cell_store.path(config.out, key) for cell, key in keys.items()}
-    tables = {cell: cell_store.read(file) for cell, file in files.items()}
+def _write_results(store: CellStore) -> SweepResult:
+    """Merge and summarise the cells' files: kept and computed cells are treated alike."""
+    sweep, config = store.sweep, store.sweep.config
+    tables = store.read_all()
     records = {cell: results.task_records(content.tasks) for cell, content in tables.items()}
     summaries = [
         summarise(config.fleet(cell), records[cell], results.event_log(content.events))
         for cell, content in tables.items()
     ]
-    paired = results.paired_differences(records)
-    merged = merged_files(setup, tables, summaries, paired)
+    paired = paired_differences(records)
+    merged = merged_files(sweep, tables, summaries, paired)
     for name, data in merged.items():
         write_atomically(config.out / name, data)
-    digests = {cell: sha256(file.read_bytes()) for cell, file in files.items()}
-    said = manifest(setup, keys, tables, digests, merged)
-    write_atomically(config.out / MANIFEST, json_bytes(said))
-    computed = tuple(cell.name for cell in config.cells() if cell not in kept)
-    mixed = len(said["origins"])
-    return SweepResult(config.out, tuple(summaries), tuple(paired), computed, files, mixed)
+    digests = {spec.cell: sha256(spec.path.read_bytes()) for spec in sweep.cells}
+    content = manifest(sweep, tables, digests, merged)
+    write_atomically(config.out / MANIFEST, json_bytes(content))
+    return SweepResult(
+        out=config.out,
+        summaries=tuple(summaries),
+        paired=tuple(paired),
+        computed=tuple(spec.name for spec in store.missing),
+        files={spec.cell: spec.path for spec in sweep.cells},
+        origins=len(content["origins"]),
+    )
 
 
 def merged_files(
-    setup: Setup,
-    tables: Mapping[Cell, cell_store.Content],
+    sweep: ResolvedSweep,
+    tables: Mapping[Cell, cell_file.Content],
     summaries: Sequence[CellSummary],
     paired: Sequence[Paired],
 ) -> dict[str, bytes]:
     """The files of `RESULTS`, from the cells."""
-    origin = about(setup)
+    origin = about(sweep)
     tasks = results.merge([(cell, content.tasks) for cell, content in tables.items()])
     events = results.merge([(cell, content.events) for cell, content in tables.items()])
     content = (
-        results.parquet(tasks, origin),
-        results.parquet(events, origin),
+        encode_table(tasks, origin),
+        encode_table(events, origin),
         csv(summary_frame(summaries)),
         csv(paired_frame(paired)),
         png(figure6(summaries), origin),
@@ -274,35 +283,29 @@ def merged_files(
     return dict(zip(RESULTS, content, strict=True))
 
 
-def _show(config: SweepConfig, outcome: SweepResult) -> None:
+def _check_replay(config: SweepConfig, result: SweepResult) -> None:
+    """BadInput where the events of a replay are not those of its log."""
+    if config.log is None:
+        return
+    events = results.event_log(result.events().select(list(results.EVENT_SCHEMA)))
+    difference = replay_difference(events, read_log(config.log))
+    if difference is not None:
+        raise BadInput(difference)
+
+
+def _show(config: SweepConfig, result: SweepResult) -> None:
     console = Console()
-    console.print(summary_tables(outcome.summaries))
+    console.print(summary_tables(result.summaries))
     for line in (
-        numbers(outcome.summaries, outcome.tasks(), config.seed),
+        physics_line(result.summaries, result.tasks(), config.seed),
         f"engine {config.engine}, {config.engine_lanes()} lanes; results in {config.out}",
     ):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
-    if outcome.origins > 1:
+    if result.origins > 1:
         console.print(
-            f"computed by {outcome.origins} kinds of processor or code, see origins in {MANIFEST}: "
+            f"computed by {result.origins} kinds of processor or code, see origins in {MANIFEST}: "
             "results are the same to the last bit on one only",
             markup=False,
             highlight=False,
             soft_wrap=True,
         )
-
-
-def _as_recorded(config: SweepConfig) -> SweepConfig:
-    if config.operator == LIVE:
-        raise BadInput("operator: live is for pgf-jax console; expected a simulated one")
-    return config if config.log is None else replaying(config, read_log(config.log))
-
-
-def _compare(config: SweepConfig, outcome: SweepResult) -> None:
-    """A replay that is no replay must not pass for one."""
-    if config.log is None:
-        return
-    events = results.event_log(outcome.events().select(list(results.EVENT_SCHEMA)))
-    difference = compare(events, read_log(config.log))
-    if difference is not None:
-        raise BadInput(difference)

@@ -1,8 +1,9 @@
-"""A batch of cells in a worker: computed together, and handed over one by one.
+"""A worker's side of a sweep: computes a batch of cells, and stores or returns each of them.
 
-The folder of the results is the channel. A worker that finds the sweep's session in it writes each
-cell there as soon as it is finished, says how far it is, and stops when the session is gone. One
-that does not, on a machine that has other disks, brings its cells home with its result.
+The folder of the results is the channel to the sweep. A worker that sees the sweep's session file
+in it writes each cell there as soon as it is finished, reports its progress in a file, and stops
+when the session file is gone. A worker that does not see it, on a machine with other disks, returns
+its cells with its result.
 """
 
 import contextlib
@@ -18,11 +19,12 @@ from typing import Any, NamedTuple
 from pgf_jax import cores, provenance
 from pgf_jax.errors import BadInput
 from pgf_jax.files import TEMPORARY
-from pgf_jax.sweeping import cell_store
-from pgf_jax.sweeping.resolve import Setup
-from pgf_jax.sweeping.run_cells import BatchStats, Job, run_cells
+from pgf_jax.sweeping import cell_file
+from pgf_jax.sweeping.cell_store import SESSION
+from pgf_jax.sweeping.resolve import CellSpec
+from pgf_jax.sweeping.run_cells import BatchStats, run_cells
 
-SAY_EVERY_S = 0.5  # progress, and how often a worker looks whether it is still wanted
+REPORT_EVERY_S = 0.5  # progress; and how often a worker looks whether to go on
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,72 +32,61 @@ class Batch:
     """Cells for one worker.
 
     Attributes:
-      number: of the batch, in its session; no two that are sent have the same.
+      number: of the batch, unique in its session.
       session: of the sweep, as `open_session` named it.
-      setups: of the jobs' sweeps, by number.
-      jobs: the cells.
-      keys: of each, as the parent has it.
-      kind: `provenance.kind()` of the parent.
+      cells: to compute.
+      kind: `provenance.kind()` of the process that sends it.
       attempt: 1, or more where workers have died of it before.
     """
 
     number: int
     session: str
-    setups: Mapping[int, Setup]
-    jobs: tuple[Job, ...]
-    keys: tuple[str, ...]
+    cells: tuple[CellSpec, ...]
     kind: Mapping[str, str]
     attempt: int = 1
 
-    def file(self, job: Job) -> Path:
-        """The file that a cell is to be."""
-        return cell_store.path(self.setups[job.sweep].config.out, self.keys[self.jobs.index(job)])
-
-    def is_finished(self, job: Job) -> bool:
-        """Whether a cell's file is there, and of this session: not an older one to be replaced."""
-        file = self.file(job)
+    def is_finished(self, cell: CellSpec) -> bool:
+        """Whether a cell's file exists and is of this session, not an older one to be replaced."""
         try:
-            return file.is_file() and cell_store.read_account(file).get("session") == self.session
+            account = cell_file.read_account(cell.path) if cell.path.is_file() else {}
+            return account.get("session") == self.session
         except BadInput:
             return False
 
     def rest(self, number: int) -> "Batch":
-        """What is left of it, as another batch; its attempts count those that finished no cell."""
-        jobs = tuple(job for job in self.jobs if not self.is_finished(job))
-        return dataclasses.replace(
-            self,
-            number=number,
-            jobs=jobs,
-            keys=tuple(self.keys[self.jobs.index(job)] for job in jobs),
-            attempt=self.attempt + 1 if len(jobs) == len(self.jobs) else 1,
-        )
+        """The cells that are not finished, as a new batch; an attempt is one that finished none."""
+        cells = tuple(cell for cell in self.cells if not self.is_finished(cell))
+        attempt = self.attempt + 1 if len(cells) == len(self.cells) else 1
+        return dataclasses.replace(self, number=number, cells=cells, attempt=attempt)
 
 
-class Handed(NamedTuple):
-    """A cell that is brought home: what `cells.write` takes."""
+class ReturnedCell(NamedTuple):
+    """A finished cell that its worker could not write, as arguments of `cell_file.write`."""
 
-    job: Job
+    index: int  # in its batch
     data: bytes
     account: dict[str, Any]
 
 
-class Result(NamedTuple):
-    """What comes of a batch: the cells that could not be written where they were computed."""
+class BatchResult(NamedTuple):
+    """The result of a batch: the cells that could not be written where they were computed."""
 
-    handed: tuple[Handed, ...]
-    effort: BatchStats
+    returned: tuple[ReturnedCell, ...]
+    stats: BatchStats
 
 
-def run_batch(batch: Batch, on_progress: Callable[["Progress"], None] | None = None) -> Result:
+def run_batch(
+    batch: Batch, on_progress: Callable[["BatchProgress"], None] | None = None
+) -> BatchResult:
     """Compute a batch.
 
     Args:
-      batch: what.
-      on_progress: called instead of saying in the folder how far it is.
+      batch: the cells.
+      on_progress: called with the progress, in place of a file in the folder.
 
     Raises:
       BadInput: something it was given cannot be used, or a cell cannot be written; or this machine
-        is another kind than that which asked.
+        differs from the one that asks in something that decides on results.
       Stopped: the session has ended.
     """
     ours = provenance.kind()
@@ -105,18 +96,18 @@ def run_batch(batch: Batch, on_progress: Callable[["Progress"], None] | None = N
             f"worker on {provenance.host()['name']}: has {name} {ours.get(name)}, expected "
             f"{batch.kind[name]} as here"
         )
-    clerk = CellWriter(batch, on_progress)
+    writer = CellWriter(batch, on_progress)
     # Some are finished where an executor sends a batch again by itself, after a worker's death.
-    jobs = [job for job in batch.jobs if not batch.is_finished(job)]
-    effort = run_cells(batch.setups, jobs, clerk, stop=clerk.unwanted)
-    return Result(tuple(clerk.handed), effort)
+    cells = [cell for cell in batch.cells if not batch.is_finished(cell)]
+    stats = run_cells(cells, writer, stop=writer.has_ended)
+    return BatchResult(tuple(writer.returned), stats)
 
 
 # -- the session ---------------------------------------------------------------------------------
 
 
-class Progress(NamedTuple):
-    """How far a batch is; indices are those of its jobs.
+class BatchProgress(NamedTuple):
+    """The progress of a batch; indices are those of its cells.
 
     Attributes:
       running: of each cell under way: index, tasks that have ended, its fleet's clock in ns.
@@ -129,13 +120,13 @@ class Progress(NamedTuple):
 
 @contextlib.contextmanager
 def open_session(folders: Sequence[Path], name: str) -> Iterator[Callable[[], None]]:
-    """While this is open, workers that see the folders write into them.
+    """Open a session: workers that see the folders write into them until it ends.
 
     Yields:
-      What ends it before, for the workers to stop at their next look.
+      What ends it early, so that workers stop at their next look.
 
     Raises:
-      BadInput: nothing can be written there.
+      BadInput: the folders cannot be written to.
     """
     tokens = [_token(folder, name) for folder in folders]
 
@@ -154,98 +145,101 @@ def open_session(folders: Sequence[Path], name: str) -> Iterator[Callable[[], No
     finally:
         end()
         for token in tokens:
-            for said in token.parent.glob(f"{token.name}.*"):
+            for report in token.parent.glob(f"{token.name}.*"):
                 with contextlib.suppress(OSError):
-                    said.unlink()
+                    report.unlink()
 
 
-def read_progress(batch: Batch) -> Progress:
-    """What a batch's worker has said; nothing where it cannot be heard, or makes no sense."""
-    places = range(len(batch.jobs))
+def read_progress(batch: Batch) -> BatchProgress:
+    """The progress that a batch's worker has reported; empty where it cannot be read."""
+    indices = range(len(batch.cells))
     try:
-        running, finished = json.loads(_said(batch).read_bytes())
-        said = Progress(tuple((p, int(n), int(ns)) for p, n, ns in running), tuple(finished))
-        if all(place in places for place in (*(p for p, *_ in said.running), *said.finished)):
-            return said
+        running, finished = json.loads(_progress_file(batch).read_bytes())
+        read = BatchProgress(tuple((i, int(n), int(ns)) for i, n, ns in running), tuple(finished))
+        if all(index in indices for index in (*(i for i, *_ in read.running), *read.finished)):
+            return read
     except (OSError, TypeError, ValueError):
         pass
-    return Progress((), ())
+    return BatchProgress((), ())
 
 
 def _token(folder: Path, session: str) -> Path:
-    return folder / cell_store.FOLDER / f"{cell_store.SESSION}{session}"
+    """The file that exists while a session is open."""
+    return folder / cell_file.FOLDER / f"{SESSION}{session}"
 
 
-def _said(batch: Batch) -> Path:
-    """Where a batch's worker says how far it is."""
-    folder = batch.setups[batch.jobs[0].sweep].config.out
-    token = _token(folder, batch.session)
+def _progress_file(batch: Batch) -> Path:
+    token = _token(batch.cells[0].out, batch.session)
     return token.with_name(f"{token.name}.{batch.number}")
 
 
 class CellWriter:
-    """Hands cells over, and keeps in touch; a `Listener`."""
+    """Writes finished cells, or keeps them to be returned; reports progress; a `CellListener`.
 
-    def __init__(self, batch: Batch, on_progress: Callable[[Progress], None] | None) -> None:
-        self.handed: list[Handed] = []
+    Attributes:
+      returned: finished cells whose folder is not seen from here.
+    """
+
+    def __init__(self, batch: Batch, on_progress: Callable[[BatchProgress], None] | None) -> None:
+        self.returned: list[ReturnedCell] = []
         self._batch, self._on_progress = batch, on_progress
-        self._place = {job: i for i, job in enumerate(batch.jobs)}
+        self._index = {cell: i for i, cell in enumerate(batch.cells)}
         self._running: dict[int, tuple[int, int, int]] = {}
         self._finished: list[int] = []
         self._began, self._start = _now(), time.perf_counter()
         self._looked = time.monotonic()
-        outs = {setup.config.out for setup in batch.setups.values()}
-        self._shared = {out for out in outs if _token(out, batch.session).is_file()}
+        folders = {cell.out for cell in batch.cells}
+        self._shared = {out for out in folders if _token(out, batch.session).is_file()}
 
-    def progress(self, job: Job, tasks: int, time_ns: int) -> None:
-        """See `Listener.progress`."""
-        place = self._place[job]
-        self._running[place] = place, tasks, time_ns
+    def progress(self, cell: CellSpec, tasks: int, time_ns: int) -> None:
+        """See `CellListener.progress`."""
+        index = self._index[cell]
+        self._running[index] = index, tasks, time_ns
 
-    def finished(self, job: Job, content: cell_store.Content) -> None:
-        """See `Listener.finished`."""
-        setup, place = self._batch.setups[job.sweep], self._place[job]
+    def finished(self, cell: CellSpec, content: cell_file.Content) -> None:
+        """See `CellListener.finished`."""
+        index = self._index[cell]
         account = {
-            "cell": job.cell.name,
+            "cell": cell.name,
             "session": self._batch.session,
             "host": provenance.host(),
             "cores": cores.usable(),
             "began": self._began,
             "ended": _now(),
             "wall_s": round(time.perf_counter() - self._start, 3),
-            "computed_together": len(self._batch.jobs),
+            "computed_together": len(self._batch.cells),
             "attempt": self._batch.attempt,
-            "inputs": setup.config.inputs(),
+            "inputs": dict(cell.inputs),
         }
         data = content.data()
-        if setup.config.out in self._shared:
-            cell_store.write(self._batch.file(job), data, account)
-            self._finished.append(place)
+        if cell.out in self._shared:
+            cell_file.write(cell.path, data, account)
+            self._finished.append(index)
         else:
-            self.handed.append(Handed(job, data, account))
-        self._running.pop(place, None)
-        self._say()
+            self.returned.append(ReturnedCell(index, data, account))
+        self._running.pop(index, None)
+        self._report()
 
-    def unwanted(self) -> bool:
+    def has_ended(self) -> bool:
         """Whether the session has ended."""
         now = time.monotonic()
-        if self._on_progress is None and now - self._looked < SAY_EVERY_S:
+        if self._on_progress is None and now - self._looked < REPORT_EVERY_S:
             return False
         self._looked = now
-        self._say()
+        self._report()
         return any(not _token(out, self._batch.session).is_file() for out in self._shared)
 
-    def _say(self) -> None:
-        progress = Progress(tuple(self._running.values()), tuple(self._finished))
+    def _report(self) -> None:
+        progress = BatchProgress(tuple(self._running.values()), tuple(self._finished))
         if self._on_progress is not None:
             self._on_progress(progress)
         elif self._shared:
-            said = _said(self._batch)
-            temporary = said.with_name(f"{said.name}{TEMPORARY}")
-            # Whoever cannot be told (the disk is full, say) will learn it from the cells.
+            file = _progress_file(self._batch)
+            temporary = file.with_name(f"{file.name}{TEMPORARY}")
+            # Where it cannot be written (a full disk, say), the sweep learns it from the cells.
             with contextlib.suppress(OSError):
                 temporary.write_text(json.dumps(progress))
-                os.replace(temporary, said)
+                os.replace(temporary, file)
 
 
 def _now() -> str:

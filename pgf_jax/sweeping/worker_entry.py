@@ -1,4 +1,4 @@
-"""A worker's door: what is called in a process that computes a batch of a sweep's cells.
+"""The function that a worker process is called with, to compute a batch of cells.
 
 Importing this imports neither JAX nor MuJoCo, so that a process can be prepared before they look at
 its cores and its environment.
@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pgf_jax import cores
 
 if TYPE_CHECKING:
-    from pgf_jax.sweeping.worker import Result
+    from pgf_jax.sweeping.worker import BatchResult
 
 
 class WorkerCall(NamedTuple):
-    """What a worker is sent.
+    """The argument of a worker's call.
 
     Attributes:
       batch: a pickled `Batch`; unpickling it imports JAX.
-      jax: settings of JAX, see `processes.jax_settings`.
+      jax: settings of JAX, see `parallel.jax_settings`.
       environment: variables to be set unless they are.
-      claim: whether the worker has to find itself a core.
+      claim: whether the worker has to find a core for itself.
     """
 
     batch: bytes
@@ -37,27 +37,25 @@ class WorkerCall(NamedTuple):
 _one_at_a_time = threading.Lock()  # whatever the process's owner thinks it can do at once
 
 
-def compute(order: WorkerCall) -> "Result":
+def compute(call: WorkerCall) -> "BatchResult":
     """Compute a batch.
 
     Raises:
-      BadInput: something it was given cannot be used, or a file cannot be written; or this machine
-        is another kind than that which asked.
-      Stopped: the sweep has ended before.
+      BadInput, Stopped: see `worker.run_batch`.
     """
     with _one_at_a_time:
-        if order.claim:
+        if call.claim:
             cores.claim()
         if "jax" not in sys.modules:
-            for name, value in order.environment.items():
+            for name, value in call.environment.items():
                 os.environ.setdefault(name, value)
-        from pgf_jax.parallel.processes import take_over
+        from pgf_jax.parallel.jax_settings import adopt
 
-        take_over(order.jax)
+        adopt(call.jax)
         from pgf_jax.sweeping.worker import run_batch
 
         with _unsampled():
-            return run_batch(pickle.loads(order.batch))
+            return run_batch(pickle.loads(call.batch))
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from deliberations import native, run, stepped, traced
+from coroutines import native, run, stepped, traced
 
 import pgf_jax.guidance.operators.registry as operators
 from pgf_jax.batching.requests import Step, robot_key_path, trial_key_path
@@ -123,9 +123,9 @@ def test_a_fork_is_two_futures_of_one_state_under_the_same_keys(whole, tmp_path)
         assert (rows[0]["scene"], rows[0]["class"]) == (scene_of(config, index).name, "tight")
         push = Aside().decide(View.of(search))
         for row in rows:
-            words = trial_key_path(index, 0, 0, at + 1, row["key"])
+            key_paths = trial_key_path(index, 0, 0, at + 1, row["key"])
             for name, given in (("alone", None), ("helped", push)):
-                trial = run(simulate_input(planner, search, given, words, reach_limit=SHORT))
+                trial = run(simulate_input(planner, search, given, key_paths, reach_limit=SHORT))
                 assert row[name] == trial.cost
                 assert row[f"{name}_solved"] == trial.solved
                 assert row[f"{name}_iterations"] == trial.iterations
@@ -152,8 +152,8 @@ def test_every_unsolved_iteration_may_be_forked(tmp_path):
     for seed in (0, 2):
         for first, last in ((3, 3), (3, 6), (4, 6)):
             scene = sample_scene(seed, "tight")
-            job = fork(planner, scene, seed, Quiet(), keys=1, first=first, last=last)
-            frame, asked = traced(job)
+            coroutine = fork(planner, scene, seed, Quiet(), keys=1, first=first, last=last)
+            frame, asked = traced(coroutine)
             assert frame["iteration"][0] in range(first, last + 1)
             drawn.add((seed, frame["iteration"][0]))
             own = [r.key_path for r in asked if isinstance(r, Step) and r.key_path[4] == 0]
@@ -165,8 +165,10 @@ def test_every_unsolved_iteration_may_be_forked(tmp_path):
 def test_an_operator_that_tries_has_not_seen_the_futures():
     operator = operators.make_operator("oracle")
     operator._ranked, operator._others, operator._again = 1, 0, 1  # pyright: ignore
-    job = fork(native().planner, sample_scene(2, "tight"), 2, operator, keys=2, first=3, last=3)
-    _, asked = traced(job)
+    coroutine = fork(
+        native().planner, sample_scene(2, "tight"), 2, operator, keys=2, first=3, last=3
+    )
+    _, asked = traced(coroutine)
     tried = [(r.key_path, r.search.controls.tobytes()) for r in asked if isinstance(r, Step)]
     assert len(set(tried)) == len(tried)  # alone and helped differ in what they begin with
 

@@ -20,15 +20,14 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.planning.types import UNANSWERED, Push, Status
 from pgf_jax.sweeping.sweep import sweep
-from pgf_jax.tables import results
 from pgf_jax.tables.event_log import JOURNAL, TABLE, digest, read_log, write_log
-from pgf_jax.tables.parquet import read_provenance
+from pgf_jax.tables.parquet import encode_table, read_provenance
 from pgf_jax.tables.runs import Mode, read_runs, runs_path
 from pgf_jax.training.config import TrainConfig
 from pgf_jax.training.rows import human_rows
 from pgf_jax.training.train import train
 
-TICK_NS = 500_000_000  # how long the person at the desk takes, at most
+TICK_NS = 500_000_000  # how long the person takes, at most
 
 
 @dataclasses.dataclass
@@ -53,7 +52,7 @@ class Recorded:
 
 
 def record(out: Path, *, stop_s: float | None = None, **changes) -> Recorded:
-    """A session, as fast as it goes; a person at the desk says something else each time."""
+    """A session, as fast as it goes; a person says something else each time."""
     settings = {
         "robots": 2,
         "tasks": 3,
@@ -63,21 +62,21 @@ def record(out: Path, *, stop_s: float | None = None, **changes) -> Recorded:
         "lanes": 4,
         "out": out,
     }
-    setting = SessionSpec.of(ConsoleConfig(**(settings | changes)))
+    spec = SessionSpec.load(ConsoleConfig(**(settings | changes)))
     asked, said = [], 0
-    play = setting.play(asked.append)
+    runner = spec.new_runner(asked.append)
     runs: dict[tuple[int, int], pl.DataFrame] = {}
 
     def note(index, robot):
         runs[index, robot.task] = robot.log.frame()
 
-    play.planned._on_task_end = note
-    play.watch.update = lambda: None  # nobody does
-    written = setting.record(play)
+    runner.robots._on_task_end = note
+    runner.observer.update = lambda: None  # nobody observes it
+    written = spec.open_recorder(runner)
     now_ns, stop_ns = 0, math.inf if stop_s is None else stop_s * 1e9
-    while not play.fleet.done and now_ns < stop_ns:
+    while not runner.fleet.done and now_ns < stop_ns:
         now_ns += TICK_NS
-        play.run_until(now_ns)
+        runner.run_until(now_ns)
         written.write()
         while asked:
             one = asked.pop()
@@ -85,7 +84,7 @@ def record(out: Path, *, stop_s: float | None = None, **changes) -> Recorded:
             one.answer((Push(0, x, y), None, Push(1, 0.9 * x, -y), UNANSWERED)[said % 4])
             said += 1
     written.close()
-    records = {(r.robot, r.task): r for r in play.fleet.records}
+    records = {(r.robot, r.task): r for r in runner.fleet.records}
     return Recorded(out, runs, records)
 
 
@@ -100,9 +99,9 @@ def session(tmp_path_factory) -> Recorded:
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory) -> Recorded:
+def person(tmp_path_factory) -> Recorded:
     """A session of a person, who is asked before anything is planned."""
-    out = tmp_path_factory.mktemp("desk")
+    out = tmp_path_factory.mktemp("person")
     return record(out, operator="live", policy="always", seed=7, scene_class="all", tasks=4)
 
 
@@ -133,11 +132,11 @@ def test_the_summary_counts_tasks(tmp_path, session):
     assert 0 < done.solved < 6
 
 
-def test_it_is_said_where_the_runs_come_from(tmp_path, session, desk):
-    done = collect(settings(tmp_path, session.folder, desk.folder))
+def test_it_is_said_where_the_runs_come_from(tmp_path, session, person):
+    done = collect(settings(tmp_path, session.folder, person.folder))
     about = read_provenance(done.path)
     first, second = about["settings"]["sessions"]
-    for folder, ours in ((session.folder, first), (desk.folder, second)):
+    for folder, ours in ((session.folder, first), (person.folder, second)):
         log = read_log(folder)
         assert ours["settings"] == log.settings
         assert ours["sha256"] == digest(log.events)
@@ -148,9 +147,9 @@ def test_it_is_said_where_the_runs_come_from(tmp_path, session, desk):
     assert str(tmp_path) not in json.dumps(about)
 
 
-def test_a_run_may_begin_with_an_input(tmp_path, desk):
+def test_a_run_may_begin_with_an_input(tmp_path, person):
     """There is no iteration of the first reach, then, and the push is segment 0."""
-    done = collect(settings(tmp_path, desk.folder))
+    done = collect(settings(tmp_path, person.folder))
     runs = read_runs(done.path)
     assert done.by_class.keys() == {"tight", "medium", "wide"}
     first = runs.group_by("scene", "seed", maintain_order=True).first()
@@ -160,7 +159,7 @@ def test_a_run_may_begin_with_an_input(tmp_path, desk):
     went_on = first.filter(pl.col("kind") == "reach")["asked_before"]
     assert went_on.any() and not went_on.all()  # without an answer, there was no input
     skipping = 0
-    for (robot, task), run in desk.runs.items():
+    for (robot, task), run in person.runs.items():
         ours = runs.filter(pl.col("scene").str.ends_with(f"_7_{robot}_{task}"))
         assert_frame_equal(ours.drop("segment"), run.drop("segment"), check_exact=True)
         change = ours["segment"].diff().fill_null(0)
@@ -204,19 +203,19 @@ def test_a_horizon_cuts_off_too(tmp_path):
     assert len(read_runs(done.path)) == cut.rows()
 
 
-def test_logs_need_not_be_alike(tmp_path, session, desk):
+def test_logs_need_not_be_alike(tmp_path, session, person):
     """Other policies, people, classes and numbers of objects; their order does not matter."""
     folder = tmp_path / "scenes"
     folder.mkdir()
     for number in range(2):
         write_scene(folder / f"shelf_{number}.xml", n_objects=6)
     shelves = record(tmp_path / "shelves", scenes=folder)
-    logs = [session.folder, desk.folder, shelves.folder]
+    logs = [session.folder, person.folder, shelves.folder]
     done = collect(settings(tmp_path / "one", *logs))
     again = collect(settings(tmp_path / "other", *reversed(logs)))
     runs = read_runs(done.path)
     assert_frame_equal(runs, read_runs(again.path), check_exact=True)
-    assert len(runs) == session.rows() + desk.rows() + shelves.rows()
+    assert len(runs) == session.rows() + person.rows() + shelves.rows()
     assert done.runs == 6 + 8 + 6
     assert runs["n_objects"].unique().sort().to_list() == [6, 20]
     repeated = collect(settings(tmp_path / "repeated", *logs))
@@ -243,9 +242,11 @@ def test_robots_that_had_the_same_scene_have_runs_of_their_own(tmp_path):
         assert_frame_equal(ours.drop("seed"), run.drop("seed"), check_exact=True)
 
 
-def test_progress_counts_tasks(tmp_path, session, desk):
+def test_progress_counts_tasks(tmp_path, session, person):
     seen = []
-    collect(settings(tmp_path, session.folder, desk.folder), on_progress=lambda *c: seen.append(c))
+    collect(
+        settings(tmp_path, session.folder, person.folder), on_progress=lambda *c: seen.append(c)
+    )
     assert seen == [(done, 14) for done in range(15)]
 
 
@@ -316,10 +317,10 @@ def test_a_log_that_does_not_replay_is_named(tmp_path, session):
 
 
 def test_logs_are_looked_at_before_any_is_replayed(tmp_path, session, monkeypatch):
-    def drive(fleets, planner_service):
+    def run_fleets(fleets, planner_service):
         raise AssertionError("nothing is to be replayed")
 
-    monkeypatch.setattr(sessions, "drive", drive)
+    monkeypatch.setattr(sessions, "run_fleets", run_fleets)
     with pytest.raises(BadInput, match=r"missing.jsonl: no such file"):
         collect(settings(tmp_path, session.folder, tmp_path / "missing.jsonl"))
     with pytest.raises(BadInput, match=r"nobody.parquet: no such file"):
@@ -330,7 +331,7 @@ def test_the_log_of_a_sweep_is_none_of_a_session(tmp_path):
     config = ghost(tmp_path / "sweep", robots=(1,), policies=("autonomous",), tasks=1)
     result = sweep(config, quiet=True)
     log = tmp_path / TABLE
-    log.write_bytes(results.parquet(result.cell(config.cells()[0]).events))
+    log.write_bytes(encode_table(result.cell(config.cells()[0]).events))
     with pytest.raises(BadInput, match="does not say its settings, expected the log of a session"):
         collect(settings(tmp_path, log))
 
@@ -417,10 +418,10 @@ def test_the_command_names_what_is_wrong_in_one_line(tmp_path, session, capsys):
 
 
 def test_an_interruption_leaves_nothing(tmp_path, session, monkeypatch, capsys):
-    def drive(fleets, planner_service):
+    def run_fleets(fleets, planner_service):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sessions, "drive", drive)
+    monkeypatch.setattr(sessions, "run_fleets", run_fleets)
     code, out, err = run(capsys, "human", "--log", session.folder, "--out", tmp_path)
     assert (code, out) == (130, "") and "nothing was written" in err and "--resume" not in err
     assert not (tmp_path / "human").exists()

@@ -1,6 +1,5 @@
 """An iteration of a sweep again: its rollouts, and what of them was not finite."""
 
-import dataclasses
 import functools
 import itertools
 from typing import Any
@@ -20,12 +19,10 @@ from pgf_jax.inspection.iteration import Fault, Reproduction
 from pgf_jax.inspection.reproduce import reproduce
 from pgf_jax.physics.engine import Rollout, register_engine
 from pgf_jax.planning.planner import Rolled
-from pgf_jax.simulation.loop import run_fleets
-from pgf_jax.simulation.planned_robots import PlannedRobots
-from pgf_jax.simulation.search_cache import SearchCache
-from pgf_jax.sweeping import resolve
+from pgf_jax.simulation.loop import PlannedFleet, run_fleets
+from pgf_jax.sweeping import resolve as resolve_module
 from pgf_jax.sweeping.config import SweepConfig
-from pgf_jax.sweeping.resolve import Setup, prepare
+from pgf_jax.sweeping.resolve import CellSpec, resolve
 from pgf_jax.sweeping.sweep import sweep
 from pgf_jax.tables.results import EVENT_SCHEMA, event_log, events_frame
 
@@ -38,7 +35,7 @@ def shipped(tmp_path_factory):
     """Untrained networks: gains to be logged, whatever the networks that ship have learned."""
     folder = write_checkpoints(tmp_path_factory.mktemp("shipped"), seed=9)
     with pytest.MonkeyPatch.context() as patch:
-        for module in (registry, resolve):
+        for module in (registry, resolve_module):
             patch.setattr(module, "shipped_checkpoints", lambda: folder)
         yield folder
 
@@ -70,12 +67,13 @@ class Brittle(Ghost):
 register_engine("brittle", Brittle)  # pyright: ignore[reportArgumentType]
 
 
-def computer_of(setup: Setup):
-    return make_planner_service(*setup.compile_key())
+def service_of(spec: CellSpec):
+    return make_planner_service(*spec.fleet.compile_key)
 
 
-def cell_log(result, cell) -> list[Event]:
+def cell_log(result, spec) -> list[Event]:
     """The events of a cell of a sweep."""
+    cell = spec.cell
     own = (pl.col("policy") == cell.policy) & (pl.col("robots") == cell.robots)
     return event_log(result.events().filter(own).select(list(EVENT_SCHEMA)))
 
@@ -95,7 +93,7 @@ def same(ours: Any, theirs: Any) -> bool:
 
 @pytest.fixture(scope="module")
 def broken(tmp_path_factory):
-    """A sweep in which rollouts broke; its setup and its result."""
+    """A sweep in which rollouts broke: its cells, and its result."""
     config = ghost(
         tmp_path_factory.mktemp("sweep") / "broken",
         engine="brittle",
@@ -105,19 +103,19 @@ def broken(tmp_path_factory):
         seed=4,
         horizon=110.0,
     )
-    return prepare(config), sweep(config, quiet=True)
+    return resolve(config).cells, sweep(config, quiet=True)
 
 
 @pytest.fixture(scope="module")
 def again(broken) -> dict[tuple, Reproduction]:
     """Every iteration of it, by (policy, robot, task, iteration)."""
-    setup, result = broken
+    cells, result = broken
     return {
-        (cell.policy, *which): reproduce(
-            setup, cell, log, **dict(zip(("robot", "task", "iteration"), which, strict=True))
+        (spec.cell.policy, *which): reproduce(
+            spec, log, **dict(zip(("robot", "task", "iteration"), which, strict=True))
         )
-        for cell in setup.config.cells()
-        for log in [cell_log(result, cell)]
+        for spec in cells
+        for log in [cell_log(result, spec)]
         for which in iterations(log)
     }
 
@@ -147,7 +145,7 @@ def test_what_a_record_counts_is_what_broke(broken, again):
 
 def test_the_very_rollouts_knots_and_objects(broken, again):
     """By the state and the controls alone."""
-    knot_s, seen = computer_of(broken[0]).engine.physics.knot_s, set()
+    knot_s, seen = service_of(broken[0][0]).engine.physics.knot_s, set()
     for one in again.values():
         assert (one.start.hand == 0).all() or one.iteration > 0
         luck = 9e3 * np.asarray(one.start.objects, float).sum() % 1
@@ -183,7 +181,7 @@ def test_in_words(again):
         f"robot {one.robot}, task {one.task} of seed 4, scene {one.scene}: iteration "
         f"{one.iteration}, {int(one.after.iteration)} of its segment, "
     )
-    assert lines[1] == f"words of its key: 4 {one.robot} {one.task} {one.iteration} 0"
+    assert lines[1] == f"its key: 4 {one.robot} {one.task} {one.iteration} 0"
     lost, full = int((~one.finite).sum()), int(one.saturated.any(1).sum())
     assert lines[2] == (
         f"rollouts: 8 of 8 knots; {lost} with a cost that is not finite, {full} with every contact "
@@ -208,7 +206,7 @@ def test_files(broken, again, tmp_path):
     path = tmp_path / "folder" / "iteration.npz"
     one.save(path)
     with np.load(path) as arrays:
-        assert arrays["words"].tolist() == list(one.words)
+        assert arrays["words"].tolist() == list(one.key_path)
         for name, value in (
             *((f"start_{name}", x) for name, x in one.start._asdict().items()),
             *one.rollout._asdict().items(),
@@ -226,9 +224,9 @@ def test_files(broken, again, tmp_path):
         assert [*faults] == [
             (-1, "", -1) if f is None else (f.knot, f.what, f.bodies[0]) for f in one.faults
         ]
-    (cell,) = (cell for cell in broken[0].config.cells() if cell.policy == policy)
+    (spec,) = (spec for spec in broken[0] if spec.cell.policy == policy)
     which = {name: getattr(one, name) for name in ("robot", "task", "iteration")}
-    reproduce(broken[0], cell, cell_log(broken[1], cell), **which).save(tmp_path / "again.npz")
+    reproduce(spec, cell_log(broken[1], spec), **which).save(tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == path.read_bytes()
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInput, match=r"file/x\.npz: cannot be written"):
@@ -281,9 +279,9 @@ def test_what_is_first():
 class Fleet(dict):
     """A fleet run here: the search after each of its iterations, and its log and records."""
 
-    def __init__(self, setup: Setup) -> None:
-        (cell,) = setup.config.cells()
-        on = computer_of(setup)
+    def __init__(self, config: SweepConfig) -> None:
+        (spec,) = resolve(config).cells
+        on = service_of(spec)
         compute = on.compute
 
         def note(requests):
@@ -294,21 +292,14 @@ class Fleet(dict):
             return results
 
         on.compute = note
-        operator = setup.operator()
-        search_cache = SearchCache(
-            on, scenes=setup.scene, operator=operator, seed=setup.config.seed
-        )
-        planned = PlannedRobots(
-            search_cache, robots=cell.robots, tasks=cell.tasks, predictor=setup.bidder_of(cell)
-        )
-        fleet = setup.new_fleet(cell, planned)
-        run_fleets([(fleet, planned)], on)
-        self.setup, self.cell, self.events = setup, cell, fleet.events
+        robots = spec.fleet.planned_robots(spec.fleet.search_cache(on))
+        fleet = spec.fleet.new_fleet(robots)
+        list(run_fleets([PlannedFleet(fleet, robots)], on))
+        self.spec, self.events = spec, fleet.events
 
     def again(self, robot, task, iteration, events=None):
         return reproduce(
-            self.setup,
-            self.cell,
+            self.spec,
             self.events if events is None else events,
             robot=robot,
             task=task,
@@ -349,7 +340,7 @@ ONE = {"robots": (1,), "horizon": 80.0}
 )
 def test_every_iteration_is_the_one_that_was(changes, every, happens):
     """The search before and after it, bit for bit; and the rollouts are those it was made from."""
-    fleet = Fleet(prepare(settings(**changes)))
+    fleet = Fleet(settings(**changes))
     ways = iterations(fleet.events)[::-every]
     assert {*happens} <= {word for event in fleet.events for word in (event.kind, event.outcome)}
     stomp, kept = changes.get("update") == "stomp", set()
@@ -357,7 +348,7 @@ def test_every_iteration_is_the_one_that_was(changes, every, happens):
         one = fleet.again(*which)
         before, after = fleet[which]
         assert same(one.before, before) and same(one.after, after)
-        assert one.key_path == (fleet.setup.config.seed, *which, 0)
+        assert one.key_path == (fleet.spec.fleet.config.seed, *which, 0)
         rounds = 1 if before.iteration < 0 else 8
         assert len(one.cost) == rounds + stomp
         kept.add(one.winner)
@@ -379,19 +370,18 @@ def test_every_iteration_is_the_one_that_was(changes, every, happens):
 
 def test_the_cost_that_was_recorded(broken):
     """A record's cost is that of the best after the last iteration of reaching."""
-    setup, result = broken
+    cells, result = broken
     checked = 0
-    for cell in setup.config.cells():
-        events = cell_log(result, cell)
-        for row in result.tasks().filter(policy=cell.policy).rows(named=True):
+    for spec in cells:
+        events = cell_log(result, spec)
+        for row in result.tasks().filter(policy=spec.cell.policy).rows(named=True):
             own = [e for e in events if (e.robot, e.task) == (row["robot"], row["task"])]
             reaches = [e for e in own if e.kind is EventKind.ITERATION and e.object is None]
             if not reaches:
                 continue
             assert reaches[-1].iteration is not None
             one = reproduce(
-                setup,
-                cell,
+                spec,
                 events,
                 robot=row["robot"],
                 task=row["task"],
@@ -408,7 +398,7 @@ def test_the_cost_that_was_recorded(broken):
 
 @pytest.fixture(scope="module")
 def toy() -> Fleet:
-    return Fleet(prepare(settings(engine="ghost", lanes=4)))
+    return Fleet(settings(engine="ghost", lanes=4))
 
 
 def last(fleet: Fleet, robot=0, task=0) -> int:
@@ -493,7 +483,6 @@ def test_a_log_of_something_else(toy, first, changes, words):
 
 
 def test_another_seed_is_noticed(toy):
-    config = dataclasses.replace(toy.setup.config, seed=2)
-    setup = dataclasses.replace(toy.setup, config=config)
+    (spec,) = resolve(settings(engine="ghost", lanes=4, seed=2)).cells
     with pytest.raises(BadInput, match=OTHER):
-        reproduce(setup, toy.cell, toy.events, robot=0, task=0, iteration=last(toy))
+        reproduce(spec, toy.events, robot=0, task=0, iteration=last(toy))

@@ -10,7 +10,7 @@ from sweep_toys import Ghost, ghost, tree
 from pgf_jax.cli import main
 from pgf_jax.fleet.config import Cell
 from pgf_jax.physics.engine import register_engine
-from pgf_jax.sweeping.cell_store import sidecar
+from pgf_jax.sweeping.cell_file import sidecar
 from pgf_jax.sweeping.sweep import sweep
 
 

@@ -14,9 +14,9 @@ from pgf_jax.files import sha256
 from pgf_jax.fleet.config import Cell
 from pgf_jax.inspection.config import VerifyConfig
 from pgf_jax.inspection.verify import distance, verify
-from pgf_jax.sweeping import cell_store, worker
+from pgf_jax.sweeping import cell_file, worker
 from pgf_jax.sweeping.sweep import sweep
-from pgf_jax.tables import results
+from pgf_jax.tables.parquet import encode_table
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +56,9 @@ def found(out, count=0, **more):
 def sign(file, content):
     """Write a cell as if it had been computed so, and what stands beside it."""
     data = content.data()
-    account = cell_store.read_account(file) | {"sha256": sha256(data), "bytes": len(data)}
+    account = cell_file.read_account(file) | {"sha256": sha256(data), "bytes": len(data)}
     file.write_bytes(data)
-    cell_store.sidecar(file).write_text(json.dumps(account))
+    cell_file.sidecar(file).write_text(json.dumps(account))
     return sha256(data)
 
 
@@ -99,7 +99,7 @@ def test_an_unfinished_sweep(out, one):
     for name in ("manifest.json", "run.json", *RESULTS):
         (out / name).unlink()
     one.unlink()
-    cell_store.sidecar(one).unlink()
+    cell_file.sidecar(one).unlink()
     outcome = verify(VerifyConfig(out, cells=3), quiet=True)
     assert outcome.ok and not outcome.complete
     assert outcome.cells == 3 and all(cell.same for cell in outcome.recomputed)
@@ -145,12 +145,12 @@ def test_a_cell_with_a_flipped_bit(out, one):
     data = bytearray(one.read_bytes())
     data[len(data) // 2] ^= 1
     one.write_bytes(data)
-    assert found(out) == [(one.name, "edited: its digest is not the one that stands beside it")]
+    assert found(out) == [(one.name, "edited: its digest is not the one in the file beside it")]
 
 
 def test_a_forger_has_much_to_do(out, one):
     """Each of the marks that an edit leaves is found; in the end the cell is computed again."""
-    digest = sign(one, forged(cell_store.read(one)))
+    digest = sign(one, forged(cell_file.read(one)))
     follow = [
         (name, "edited: it does not follow from the cells")
         for name in ("tasks.parquet", "summary.csv", "paired.csv")
@@ -182,15 +182,15 @@ def test_a_forger_has_much_to_do(out, one):
 def _remade(out, manifest):
     from pgf_jax.inspection.folder_check import _remade as remade
 
-    sound = {out / cell["file"]: cell_store.read(out / cell["file"]) for cell in manifest["cells"]}
+    sound = {out / cell["file"]: cell_file.read(out / cell["file"]) for cell in manifest["cells"]}
     made = remade(out, manifest, sound)
-    return {n: m if isinstance(m, bytes) else results.parquet(m) for n, m in made.items()}
+    return {n: m if isinstance(m, bytes) else encode_table(m) for n, m in made.items()}
 
 
 def test_a_renamed_cell(out, one):
     other = one.with_name("0" * 64 + ".parquet")
     one.rename(other)
-    cell_store.sidecar(one).rename(cell_store.sidecar(other))
+    cell_file.sidecar(one).rename(cell_file.sidecar(other))
     assert found(out) == [
         (other.name, f"edited or renamed: it says it is {one.stem}"),
         (one.name, "missing: manifest.json lists it"),
@@ -200,7 +200,7 @@ def test_a_renamed_cell(out, one):
 def test_a_duplicate(out, one):
     other = one.with_name("f" * 64 + ".parquet")
     shutil.copy(one, other)
-    shutil.copy(cell_store.sidecar(one), cell_store.sidecar(other))
+    shutil.copy(cell_file.sidecar(one), cell_file.sidecar(other))
     assert found(out) == [(other.name, f"duplicate: it is the cell of {one.stem}.parquet")]
 
 
@@ -215,7 +215,7 @@ def test_foreign_files(out, whole, tmp_path, predictors):
     )
     (theirs,) = sweep(config, quiet=True).files.values()
     shutil.copy(theirs, out / "cells")
-    shutil.copy(cell_store.sidecar(theirs), out / "cells")
+    shutil.copy(cell_file.sidecar(theirs), out / "cells")
     (out / "cells" / "notes.txt").write_text("mine")
     (out / "cells" / ("0" * 64 + ".json")).write_text("{}")
     (out / "extra.parquet").write_bytes(b"PAR1PAR1PAR1")
@@ -234,10 +234,10 @@ def test_foreign_files(out, whole, tmp_path, predictors):
 
 
 def test_missing_files(out, one):
-    cell_store.sidecar(one).unlink()
+    cell_file.sidecar(one).unlink()
     (out / "summary.csv").unlink()
     (name, what), other = found(out)
-    assert name == one.name and what.startswith("foreign: nothing stands beside it of how it came")
+    assert name == one.name and what.startswith("foreign: there is no file beside it that says")
     assert other[0] == "summary.csv" and other[1].startswith("missing: ")
 
 
@@ -280,7 +280,7 @@ def test_another_processor_is_reported_not_refused(out, one):
     """Numbers that differ where the processor does are no mistake; how far they are off is said."""
     for name in ("manifest.json", *RESULTS):
         (out / name).unlink()
-    sign(one, as_if_on(forged(cell_store.read(one)), "another one"))
+    sign(one, as_if_on(forged(cell_file.read(one)), "another one"))
     outcome = verify(VerifyConfig(out, cells=9), quiet=True)
     assert outcome.ok
     (off,) = [cell for cell in outcome.recomputed if not cell.same]
@@ -296,7 +296,7 @@ def _short(text):
 
 
 def test_distance_by_hand(one):
-    content = cell_store.read(one)
+    content = cell_file.read(one)
     statuses = pl.Series("status", ["stuck", *content.tasks["status"][1:]])
     events = content.events
     changed = pl.when(pl.int_range(pl.len()) == 2).then(7).otherwise(pl.col("robot"))

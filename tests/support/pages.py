@@ -1,7 +1,6 @@
-"""A console in a process of its own, and what a test needs to look at it through a browser."""
+"""Runs the console in a process of its own, and opens its page in a browser, for tests."""
 
 import contextlib
-import json
 import os
 import shutil
 import signal
@@ -14,24 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from console_browser import CHROMIUM_FLAGS, HEIGHT, WIDTH, journal_events, pixel_of
 from playwright.sync_api import sync_playwright
 
-from pgf_jax.console import layout
 from pgf_jax.console.layout import Cell, Layout
-from pgf_jax.console.page import MARGIN
 from pgf_jax.scene import Scene, sample_scene
 
-CHROMIUM = (
-    "--no-sandbox",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--no-first-run",
-    "--disable-sync",
-)
-SIZE = {"width": 1400, "height": 900}
-PATIENCE_S = 60.0  # of a test with a machine that is busy
+PATIENCE_S = 60.0  # longest wait of a test on a busy machine
 
 
 class Server:
@@ -45,15 +33,14 @@ class Server:
         return int(self.url.rsplit(":", 1)[1].split("/")[0])
 
     def events(self) -> list[dict[str, Any]]:
-        """What is in the log by now; a line that is being written is left out."""
-        lines = (self.out / "events.jsonl").read_text().split("\n")[1:-1]
-        return [json.loads(line) for line in lines]
+        """The events in the journal so far."""
+        return journal_events(self.out)
 
     def log(self) -> str:
         return (self.out / "console.log").read_text()
 
     def wait_for(self, found: Callable[[list[dict[str, Any]]], Any]) -> Any:
-        """What `found` makes of the events, once that is something."""
+        """Wait until `found(events)` is true, and return it."""
         return wait_for(lambda: found(self.events()))
 
 
@@ -67,7 +54,7 @@ def wait_for(found: Callable[[], Any]) -> Any:
 
 @contextlib.contextmanager
 def console(out: Path, *options: str) -> Iterator[Server]:
-    """A console on any free port, killed in the end."""
+    """A running console, by default on any free port; it is killed at the end."""
     port = () if "--port" in options else ("--port", "0")
     command = [sys.executable, "-m", "pgf_jax", "console", *port, "--out", str(out)]
     process = subprocess.Popen(
@@ -93,12 +80,12 @@ def console(out: Path, *options: str) -> Iterator[Server]:
 
 @contextlib.contextmanager
 def browser() -> Iterator[Any]:
-    """Headless Chromium; skips where there is none."""
+    """Headless Chromium; the test is skipped if it is not installed."""
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path is None:
         pytest.skip("needs Chromium (apt-get install chromium)")
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=CHROMIUM)
+        chromium = playwright.chromium.launch(executable_path=path, args=CHROMIUM_FLAGS)
         try:
             yield chromium
         finally:
@@ -106,11 +93,12 @@ def browser() -> Iterator[Any]:
 
 
 def visit(chromium: Any, url: str) -> Any:
-    """A page that shows the console."""
-    page = chromium.new_context(viewport=SIZE).new_page()
+    """Open a page that shows the console."""
+    size = {"width": WIDTH, "height": HEIGHT}
+    page = chromium.new_context(viewport=size).new_page()
     page.goto(url)
     page.wait_for_selector("canvas", timeout=1e3 * PATIENCE_S)
-    # Without a GPU viser says so, in front of the wall.
+    # Without a GPU viser shows a notice in front of the drawing.
     notice = page.locator(".mantine-Notification-root").filter(has_text="WebGL")
     notice.locator("button").click(timeout=1e3 * PATIENCE_S)
     notice.wait_for(state="detached", timeout=1e3 * PATIENCE_S)
@@ -124,22 +112,16 @@ def wait_for_text(page: Any, text: str) -> None:
 
 
 def click_shelf(page: Any, cell: Cell, place: np.ndarray) -> None:
-    """Click where a place of a shelf (x, y; m) is drawn."""
+    """Click on a place of a shelf (x, y; m)."""
     x, y = cell.place(np.asarray(place))
-    box = page.locator("canvas").first.bounding_box()
-    units = max(layout.HEIGHT, layout.WIDTH * box["height"] / box["width"]) * MARGIN
-    scale = box["height"] / units  # pixels a unit
-    at = (
-        box["x"] + box["width"] / 2 + scale * (x - layout.WIDTH / 2),
-        box["y"] + box["height"] / 2 - scale * (y - layout.HEIGHT / 2),
-    )
-    page.mouse.move(*at)
-    page.wait_for_timeout(200)  # a hand is no faster; viser takes a leap for a drag
-    page.mouse.click(*at)
+    pixel = pixel_of(page, x, y)
+    page.mouse.move(*pixel)
+    page.wait_for_timeout(200)  # viser takes a jump of the mouse for a drag
+    page.mouse.click(*pixel)
 
 
 def scene_of(robot: int, task: int, seed: int = 0) -> Scene:
-    """The scene of a task of a console that samples tight ones."""
+    """The scene of a task in a console with tight scenes."""
     return sample_scene(np.array([seed, robot, task], np.uint32), "tight")
 
 
@@ -150,7 +132,7 @@ def large(robots: int, served: int) -> Cell:
 
 
 def interrupt(server: Server) -> str:
-    """End the session in order; what it said."""
+    """End the session in order; returns the rest of its output."""
     server.process.send_signal(signal.SIGINT)
     out, _ = server.process.communicate(timeout=PATIENCE_S)
     assert server.process.returncode == 0, out

@@ -1,4 +1,4 @@
-"""Cost (D3), stuck counter and STOMP's update (D4) in plain NumPy, from the definitions."""
+"""Cost, stuck counter and STOMP's update in plain NumPy, from their definitions."""
 
 import math
 
@@ -98,7 +98,7 @@ def cost(rollout, gripper, task, config):
 
 
 class Stuck:
-    """The counter of D4, fed with each iteration's winner from iteration 0 on."""
+    """The stuck counter, fed with the cost of each iteration's winner from iteration 0 on."""
 
     def __init__(self):
         self.n, self.best, self.last, self.iteration = 0, math.inf, 0.0, -1

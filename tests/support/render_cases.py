@@ -1,4 +1,4 @@
-"""Robots and fleets to draw, made up."""
+"""Made-up robots and fleets to draw."""
 
 import math
 from typing import Any
@@ -15,7 +15,7 @@ PATH = np.linspace([0.0, 0.0, 0.0], [0.2, -0.2, -0.4], 8)
 
 
 def robot(index: int = 0, **changes: Any) -> RobotSnapshot:
-    """A robot that plans, the hand where a task begins."""
+    """A robot that plans, with its hand at the start of a task."""
     fields: dict[str, Any] = {
         "robot": index,
         "task": 0,
@@ -39,8 +39,8 @@ def robot(index: int = 0, **changes: Any) -> RobotSnapshot:
 
 
 def fleet(count: int, serving: int | None = None, *, time_s: float = 0.0, task: int = 0):
-    """Robots in all states and as odd as they come."""
-    odd: list[dict[str, Any]] = [
+    """A fleet with robots in all states, and with unusual values."""
+    cases: list[dict[str, Any]] = [
         {"state": State.PLANNING, "path": PATH},
         {"state": State.PLANNING, "push": Push(0, 0.5, 0.3), "costs": (math.inf, 70.0)},
         {"state": State.EXECUTING, "push": Push(0, 0.5, 0.3), "hand": np.array([0.1, 0.0, 0.3])},
@@ -52,7 +52,7 @@ def fleet(count: int, serving: int | None = None, *, time_s: float = 0.0, task: 
     ]
     robots = []
     for i in range(count):
-        changes = {"state": State.SERVED} if i == serving else odd[i % len(odd)]
+        changes = {"state": State.SERVED} if i == serving else cases[i % len(cases)]
         robots.append(robot(i, task=task, **changes))
     return FleetSnapshot(
         time_ns=round(time_s * 1e9),
@@ -66,12 +66,12 @@ def fleet(count: int, serving: int | None = None, *, time_s: float = 0.0, task: 
 
 
 def count(picture: np.ndarray, color: str, box: tuple[int, int, int, int] | None = None) -> int:
-    """Pixels of exactly a colour (`#rrggbb`), in all or within left, top, right, bottom."""
+    """Number of pixels of exactly a colour (`#rrggbb`), in a box or in the whole picture."""
     if box is not None:
         picture = picture[box[1] : box[3], box[0] : box[2]]
     return int((picture == rgb(color)).all(-1).sum())
 
 
 def rgb(color: str) -> np.ndarray:
-    """[3] uint8 of `#rrggbb`."""
+    """The colour `#rrggbb` as [3] uint8."""
     return np.frombuffer(bytes.fromhex(color[1:]), np.uint8)

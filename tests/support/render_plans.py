@@ -1,4 +1,4 @@
-"""A plan that the engine `native` carries out in no time: a push and its retreat, then a reach."""
+"""A short plan for the engine `native`: a push with its retreat, then a reach."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ REACH = Segment("reach", 3.0, np.tile([0.06, 0.01, 0.0], (8, 1)), np.zeros(8))
 
 
 def plan(**changes) -> Plan:
-    """Of three objects; the hand runs into the first, and pushes the goal behind it."""
+    """A plan with three objects; the hand hits the first, which pushes the goal behind it."""
     objects = np.array([[0.33, -0.01, 0.03], [0.40, 0.2, 0.03], [0.40, -0.01, 0.03]])
     fields = {
         "scene": Scene("short", objects, 2),

@@ -1,4 +1,4 @@
-"""A world that costs nothing, and a person at the desk of a session, for tests without a page."""
+"""A trivial engine, and a person who acts in a session, for tests without a page."""
 
 import math
 import threading
@@ -13,17 +13,17 @@ from pgf_jax.console.input_panel import Feedback, InputPanel
 from pgf_jax.console.session import Frame, Session
 from pgf_jax.console.session_spec import SessionSpec
 from pgf_jax.fleet.events import Event, EventKind
-from pgf_jax.fleet.policies import Discipline, WhenStuck, register_policy
+from pgf_jax.fleet.policies import AskWhenStuck, Discipline, register_policy
 from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, register_engine
 from pgf_jax.planning.types import Push
 from pgf_jax.tables.event_log import JOURNAL
 
-PATIENCE_S = 60.0  # of a test with what should happen; far more than it takes
+PATIENCE_S = 60.0  # longest wait of a test for what should happen; it takes far less
 ME, OTHER = 1, 2
 
 
 class Phantom:
-    """The hand passes through objects, but slips: it moves at a speed that the scene decides."""
+    """An engine whose hand passes through objects, at a speed that depends on the scene."""
 
     name = "phantom"
 
@@ -45,15 +45,15 @@ class Phantom:
         )
 
 
-class Asking(WhenStuck):
-    """Waits for input before planning, and again when stuck."""
+class Asking(AskWhenStuck):
+    """A policy that asks before planning, and again when stuck."""
 
     def first_bid(self, progress):
         return math.inf
 
 
-class FirstAsks(WhenStuck):
-    """Robot 0 waits for input before planning; others never do."""
+class FirstAsks(AskWhenStuck):
+    """A policy in which robot 0 asks before planning, and the others never ask."""
 
     def first_bid(self, progress):
         return math.inf if progress.robot == 0 else None
@@ -68,7 +68,7 @@ register_policy("first asks", lambda config: FirstAsks(Discipline.LINE))
 
 
 def toy(out: Path, **changes) -> ConsoleConfig:
-    """A session of a few seconds."""
+    """Settings of a session of a few seconds."""
     settings = {
         "robots": 2,
         "tasks": 2,
@@ -86,14 +86,14 @@ class Person:
     """Runs a session in a thread of its own, and acts in it as a page would.
 
     Attributes:
-      frames: all that there was to see.
-      acknowledged: answers that were: (service, input, the journal's bytes at that moment).
+      frames: all that were shown.
+      acknowledged: answers that were acknowledged: (service, input, bytes of the journal then).
     """
 
     def __init__(self, config: ConsoleConfig) -> None:
         self.frames: list[Frame] = []
         self.acknowledged: list[tuple[tuple, Push | None, bytes]] = []
-        self.session = Session(SessionSpec.of(config), self.frames.append)
+        self.session = Session(SessionSpec.load(config), self.frames.append)
         self.journal = config.out / JOURNAL
         self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -115,7 +115,7 @@ class Person:
         self.join()
 
     def join(self) -> None:
-        """Wait for its end, which must come by itself."""
+        """Wait until the session ends by itself."""
         self._thread.join(PATIENCE_S)
         if self.error is not None:
             raise self.error
@@ -123,7 +123,7 @@ class Person:
 
     @property
     def events(self) -> list[Event]:
-        return self.session.play.fleet.events
+        return self.session.runner.fleet.events
 
     @property
     def running(self) -> bool:
@@ -140,7 +140,7 @@ class Person:
         self.wait(lambda: self.count(kind, outcome) >= count)
 
     def count(self, kind: EventKind, outcome: str | None = None) -> int:
-        """Events of a kind so far."""
+        """Number of events of a kind so far."""
         return sum(
             event.kind is kind and outcome in (None, event.outcome) for event in [*self.events]
         )
@@ -154,25 +154,25 @@ class Person:
         return self._ask(lambda reply: self.session.act(client, do, reply))
 
     def _ask(self, ask: Callable[[Callable[[Feedback], None]], None]) -> Feedback:
-        words: list[Feedback] = []
-        ask(words.append)
-        self.wait(lambda: words)
-        assert len(words) == 1
-        return words[0]
+        feedbacks: list[Feedback] = []
+        ask(feedbacks.append)
+        self.wait(lambda: feedbacks)
+        assert len(feedbacks) == 1
+        return feedbacks[0]
 
     def answer(self, choose: Callable[[int], int], client: int = ME) -> Feedback:
-        """Give an input, by its number in the session: 0 a push that works, 1 none, 2 go on."""
+        """Answer a request; `choose` maps its number to 0 a push, 1 a push that fails, 2 go on."""
         said: list[tuple[tuple, Push | None]] = []
-        words: list[Feedback] = []
+        feedbacks: list[Feedback] = []
 
         def do(panel: InputPanel) -> Feedback:
-            if panel.asked is None:
+            if panel.pending is None:
                 return Feedback("", ok=False)
-            service, kind = panel.asked.service, choose(len(self.acknowledged))
+            service, kind = panel.pending.service, choose(len(self.acknowledged))
             if kind == 2:
                 said.append((service, None))
                 return panel.go_on(client)
-            robot, places = panel.asked.robot, panel.asked.view.objects
+            robot, places = panel.pending.robot, panel.pending.view.objects
             panel.click(client, robot, *map(float, places[5]))
             for place in [places[5]] if kind == 0 else FAR:
                 if panel.click(client, robot, *map(float, place)).ok:
@@ -181,21 +181,21 @@ class Person:
             said.append((service, Push(panel.object, *panel.target)))
             return panel.confirm(client)
 
-        def reply(word: Feedback) -> None:
-            if word.answered:
+        def reply(feedback: Feedback) -> None:
+            if feedback.answered:
                 self.acknowledged.append((*said[0], self.journal.read_bytes()))
-            words.append(word)
+            feedbacks.append(feedback)
 
         self.session.act(client, do, reply)
-        self.wait(lambda: words or not self.running)
-        return words[0] if words else Feedback("", ok=False)
+        self.wait(lambda: feedbacks or not self.running)
+        return feedbacks[0] if feedbacks else Feedback("", ok=False)
 
     def serve(self, choose: Callable[[int], int] = lambda number: number % 3) -> None:
-        """Answer whoever asks, to the end of the session."""
+        """Answer all requests, to the end of the session."""
         deadline = time.monotonic() + PATIENCE_S
         while self.running:
             assert time.monotonic() < deadline, "the session does not end"
-            if self.session.panel.asked is None:
+            if self.session.panel.pending is None:
                 time.sleep(0.002)
                 continue
             try:
@@ -206,5 +206,5 @@ class Person:
         self.join()
 
 
-# Places where the hand cannot bring what it does not hold on to; one of them is free.
+# Places to which the hand cannot bring an object, because it passes through; one of them is free.
 FAR = [(0.22 + 0.05 * i, 0.05 * j - 0.3) for i in range(6) for j in range(12)]

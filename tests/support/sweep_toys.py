@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import polars as pl
 
-from pgf_jax.fleet.policies import Discipline, WhenStuck, register_policy
+from pgf_jax.fleet.policies import AskWhenStuck, Discipline, register_policy
 from pgf_jax.guidance.operators.registry import register_operator
 from pgf_jax.guidance.predictors import checkpoint
 from pgf_jax.guidance.predictors.features import FEATURES
@@ -70,7 +70,7 @@ class Nudge:
 register_operator("nudge", Nudge)
 
 
-class Eager(WhenStuck):
+class Eager(AskWhenStuck):
     """Waits for input before planning, and again when stuck."""
 
     def first_bid(self, progress):

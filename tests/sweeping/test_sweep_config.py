@@ -246,7 +246,7 @@ def test_every_field_has_its_help():
 
 def test_config_imports_nothing_heavy():
     code = (
-        "import sys, pgf_jax.study.sweep_config as c; c.SweepConfig(); "
+        "import sys, pgf_jax.sweeping.config as c; c.SweepConfig(); "
         "print([m for m in ('jax', 'mujoco', 'polars', 'matplotlib', 'flax') if m in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

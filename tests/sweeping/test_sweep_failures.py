@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from sweep_processes import (
     CELLS,
+    HERE,
     Cluster,
     cells,
     children,
@@ -28,7 +29,7 @@ from sweep_processes import (
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 
-GHOSTS = Path(__file__).with_name("ghost_sweep.py")
+GHOSTS = HERE / "ghost_sweep.py"
 
 
 def ghosts(out: Path, *arguments: str) -> subprocess.Popen:

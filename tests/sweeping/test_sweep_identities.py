@@ -1,4 +1,4 @@
-"""Sample-path identities on real runs, from the files of a sweep (D9); and lists of costs there."""
+"""Sample-path identities on real runs, from the files of a sweep; and lists of costs there."""
 
 import math
 
@@ -7,12 +7,13 @@ import pytest
 
 from pgf_jax.fleet import EventKind, Fleet, FleetConfig
 from pgf_jax.fleet.attention import attention
-from pgf_jax.fleet.identities import check_identities, verify
+from pgf_jax.fleet.identities import identity_sides, verify
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
 from pgf_jax.planning.types import Status
 from pgf_jax.sweeping.config import SweepConfig
 from pgf_jax.sweeping.sweep import sweep
 from pgf_jax.tables import results
+from pgf_jax.tables.parquet import encode_table
 
 POLICIES = ("pgf", "or-hitl", "or-hitl-window", "always", "queue", "random")
 # Horizons that cut off tasks in the middle of services and waits.
@@ -51,7 +52,7 @@ def fleets(request, tmp_path_factory):
 def test_identities_hold_on_real_runs(fleets):
     name, found = fleets
     for config, records, events in found:
-        sides = check_identities(config, records, events)
+        sides = identity_sides(config, records, events)
         assert {key: pair for key, pair in sides.items() if pair[0] != pair[1]} == {}
         assert verify(config, records, events) == 18 + 3 * config.robots + 2 * len(records)
     # Not of nothing.
@@ -154,7 +155,7 @@ def test_costs_that_are_not_known_come_back_from_a_file(tmp_path):
     assert frame["asked_cost"].to_list() == [[None], [None], []]
     assert frame["helped_cost"].to_list() == [[5.0], [math.inf], []]
     path = tmp_path / "tasks.parquet"
-    path.write_bytes(results.parquet(frame))
+    path.write_bytes(encode_table(frame))
     again = results.task_records(results.read_results(path, results.TASK_SCHEMA))
     records = sorted(fleet.records, key=lambda record: record.robot)
     assert repr(again) == repr(records)  # nan is not equal to itself

@@ -2,6 +2,8 @@ import dataclasses
 import io
 import json
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -21,9 +23,16 @@ from pgf_jax.fleet.stub import outcome
 from pgf_jax.planning.types import Status
 from pgf_jax.sweeping.figure6 import figure6
 from pgf_jax.sweeping.report import BARS, Report, summary_tables
-from pgf_jax.sweeping.run_cells import Job
-from pgf_jax.sweeping.summary import PAIRED, csv, paired_frame, summary_frame
+from pgf_jax.sweeping.resolve import CellSpec
+from pgf_jax.sweeping.summary import (
+    PAIRED,
+    csv,
+    paired_differences,
+    paired_frame,
+    summary_frame,
+)
 from pgf_jax.tables import results
+from pgf_jax.tables.parquet import encode_table
 
 
 def test_summary_against_hand_computation():
@@ -71,13 +80,13 @@ def test_what_broke_by_hand(tmp_path):
     assert frame["non_finite_at"].to_list() == [[1, 3], []]
     assert frame["saturated"].to_list() == [10, 10]
     path = tmp_path / "tasks.parquet"
-    path.write_bytes(results.parquet(frame))
+    path.write_bytes(encode_table(frame))
     again = results.task_records(results.read_results(path, results.TASK_SCHEMA))
     assert again == fleet.records
     row = summary_frame([summarise(fleet.config, again, fleet.events)]).row(0, named=True)
     assert (row["non_finite"], row["saturated"]) == (2, 20)
     # Of an iteration that broke it is known which.
-    path.write_bytes(results.parquet(frame.with_columns(non_finite_at=pl.Series([[1, None], []]))))
+    path.write_bytes(encode_table(frame.with_columns(non_finite_at=pl.Series([[1, None], []]))))
     with pytest.raises(BadInput, match="non_finite_at is missing in 1 rows"):
         results.read_results(path, results.TASK_SCHEMA)
 
@@ -90,7 +99,7 @@ def test_paired_differences_against_hand_computation():
     ours = run("autonomous", iterate=solved_after([0, 1, None]))
     theirs = run("autonomous", iterate=solved_after([1, 3, 0]))
     cells = {Cell("a", 1, 3): ours.records, Cell("b", 1, 3): theirs.records}
-    rows = {row.value: row for row in results.paired_differences(cells)}
+    rows = {row.value: row for row in paired_differences(cells)}
     assert {(row.robots, row.policy, row.baseline) for row in rows.values()} == {(1, "a", "b")}
     # Iterations differ by -1, -2 and 59: the 180 s limit allows 1.5 s and then 59 times 3 s.
     assert rows["reach_iterations"].difference.mean == pytest.approx((-1 - 2 + 59) / 3)
@@ -110,12 +119,12 @@ def test_paired_differences_against_hand_computation():
 
 def test_policies_are_paired_within_a_fleet_size():
     fleets = {Cell(p, r, 3): run(robots=r).records for p in "abc" for r in (1, 2)}
-    rows = [row for row in results.paired_differences(fleets) if row.value == "solved"]
+    rows = [row for row in paired_differences(fleets) if row.value == "solved"]
     pairs = [("a", "b"), ("a", "c"), ("b", "c")]
     assert sorted((row.robots, row.policy, row.baseline) for row in rows) == [
         (robots, *pair) for robots in (1, 2) for pair in pairs
     ]
-    assert paired_frame(results.paired_differences({Cell("a", 1, 3): []})).is_empty()
+    assert paired_frame(paired_differences({Cell("a", 1, 3): []})).is_empty()
 
 
 @settings(max_examples=20, deadline=None)
@@ -135,9 +144,9 @@ def test_tables_hold_what_the_fleet_said(seed, horizon):
     ]
     assert results.event_log(events) == known
     for frame, schema in ((tasks, results.TASK_SCHEMA), (events, results.EVENT_SCHEMA)):
-        again = results._decode(results.parquet(frame), "x", schema)  # pyright: ignore[reportArgumentType]
+        again = results._decode(encode_table(frame), "x", schema)  # pyright: ignore[reportArgumentType]
         assert again.equals(frame)
-        assert results.parquet(again) == results.parquet(frame)
+        assert encode_table(again) == encode_table(frame)
     before = summarise(fleet.config, fleet.records, fleet.events)
     after = summarise(fleet.config, results.task_records(tasks), results.event_log(events))
     # Means are over records in another order.
@@ -166,7 +175,7 @@ def test_read_results_names_file_and_column(tmp_path):
     path = tmp_path / "tasks.parquet"
     with pytest.raises(BadInput, match=f"{path}: no such file"):
         results.read_results(path, results.MERGED_TASK_SCHEMA)
-    whole = results.parquet(results.tasks_frame(mixed_fleet().records, lambda robot, task: "x"))
+    whole = encode_table(results.tasks_frame(mixed_fleet().records, lambda robot, task: "x"))
     for size in [*range(0, len(whole), 997), len(whole) - 1]:
         path.write_bytes(whole[:size])
         with pytest.raises(BadInput, match=f"{path}: truncated or corrupt") as caught:
@@ -244,16 +253,22 @@ def test_summary_table_fits_a_terminal():
     assert "0.67 [0.21, 0.94]" in row
 
 
+def spec(sweep: int, *sizes) -> CellSpec:
+    """A cell of a sweep, of which a report needs no more than policy and sizes."""
+    fleet: Any = None
+    return CellSpec(sweep, Cell(*sizes), "", {}, fleet, {}, {}, Path("x"))
+
+
 def test_progress_without_a_terminal_is_lines():
     file = io.StringIO()
     console = Console(file=file, width=30)
-    jobs = [Job(0, cell) for cell in (Cell("pgf", 1, 4), Cell("pgf", 2, 4), Cell("always", 1, 4))]
-    with Report(jobs, [jobs[2]], console) as report:
-        report.progress(jobs[0], 1, 1800 * 10**9)
-        report.finished(jobs[1], {})
-        report.again(2, "a process ended early")
+    cells = [spec(0, "pgf", 1, 4), spec(0, "pgf", 2, 4), spec(0, "always", 1, 4)]
+    with Report(cells, [cells[2]], console) as report:
+        report.progress(cells[0], 1, 1800 * 10**9)
+        report.finished(cells[1], {})
+        report.retried(2, "a process ended early")
         report.interrupted("there")
-    assert report.sent_again == 2
+    assert report.retried_cells == 2
     lines = file.getvalue().splitlines()
     assert lines[0] == "kept: always_R1"
     assert lines[1].startswith("finished pgf_R2; 9/12 tasks, 1/2 cells, 0.50 h simulated, ")
@@ -264,13 +279,13 @@ def test_progress_without_a_terminal_is_lines():
 
 def test_progress_of_several_sweeps_says_which():
     file = io.StringIO()
-    cell, other = Cell("pgf", 2, 4), Cell("always", 1, 4)
-    jobs = [Job(0, cell), Job(0, other), Job(1, cell), Job(1, other)]
-    with Report(jobs, [jobs[1], jobs[3]], Console(file=file, width=30)) as report:
-        report.progress(jobs[0], 3, 1800 * 10**9)
-        report.progress(jobs[2], 1, 900 * 10**9)
-        report.finished(jobs[2], {})
-        report.finished(jobs[0], {})
+    cell, other = ("pgf", 2, 4), ("always", 1, 4)
+    cells = [spec(0, *cell), spec(0, *other), spec(1, *cell), spec(1, *other)]
+    with Report(cells, [cells[1], cells[3]], Console(file=file, width=30)) as report:
+        report.progress(cells[0], 3, 1800 * 10**9)
+        report.progress(cells[2], 1, 900 * 10**9)
+        report.finished(cells[2], {})
+        report.finished(cells[0], {})
         report.interrupted("here", "there", "elsewhere")
     lines = file.getvalue().splitlines()
     assert lines[0] == "kept: 0:always_R1, 1:always_R1"
@@ -283,26 +298,26 @@ def test_progress_of_several_sweeps_says_which():
 def test_progress_on_a_terminal_and_quiet():
     file, silence = io.StringIO(), io.StringIO()
     console = Console(file=file, force_terminal=True, width=100)
-    job = Job(0, Cell("pgf", 2, 4))
-    with Report([job], [], console) as report:
-        report.progress(job, 3, 1800 * 10**9)
-        report.finished(job, {})
+    cell = spec(0, "pgf", 2, 4)
+    with Report([cell], [], console) as report:
+        report.progress(cell, 3, 1800 * 10**9)
+        report.finished(cell, {})
     text = file.getvalue()
     assert "pgf, R = 2" in text and "8/8" in text and "0.50 h simulated" in text
     quiet = Console(file=silence, force_terminal=True)
-    with Report([job], [job], quiet, quiet=True) as report:
+    with Report([cell], [cell], quiet, quiet=True) as report:
         report.interrupted("there")
     assert silence.getvalue() == ""
 
 
 def test_many_cells_share_a_bar_and_a_line():
-    jobs = [Job(0, Cell("pgf", robots, 1)) for robots in range(1, 2 * BARS + 3)]
+    cells = [spec(0, "pgf", robots, 1) for robots in range(1, 2 * BARS + 3)]
     for terminal in (False, True):
         file = io.StringIO()
         console = Console(file=file, force_terminal=terminal, width=100)
-        with Report(jobs, jobs[: BARS + 1], console) as report:
-            for job in jobs[BARS + 1 :]:
-                report.finished(job, {})
+        with Report(cells, cells[: BARS + 1], console) as report:
+            for cell in cells[BARS + 1 :]:
+                report.finished(cell, {})
         text = file.getvalue()
         assert text.startswith("kept: 17 cells\n")
         assert "finished" not in text and "pgf" not in text
@@ -311,13 +326,13 @@ def test_many_cells_share_a_bar_and_a_line():
 
 
 def test_a_line_of_json_for_each_cell(capsys):
-    jobs = [Job(0, Cell("pgf", 2, 4)), Job(1, Cell("always", 1, 4))]
+    cells = [spec(0, "pgf", 2, 4), spec(1, "always", 1, 4)]
     file = io.StringIO()
-    with Report(jobs, [], Console(file=file, width=30), json=True) as report:
-        report.progress(jobs[1], 1, 10**9)
+    with Report(cells, [], Console(file=file, width=30), json=True) as report:
+        report.progress(cells[1], 1, 10**9)
         account = {"sha256": "ab", "wall_s": 1.5, "attempt": 2, "host": {"name": "here"}}
-        report.finished(jobs[0], account)
-        report.finished(jobs[1], {})
+        report.finished(cells[0], account)
+        report.finished(cells[1], {})
     first, second = map(json.loads, capsys.readouterr().out.splitlines())
     assert first.pop("tasks_per_s") > 0 and first.pop("left_s") >= 0
     assert first == account | {
@@ -333,8 +348,8 @@ def test_a_line_of_json_for_each_cell(capsys):
     assert (second["cell"], second["cells_done"], second["tasks_done"]) == ("always_R1", 2, 12)
     assert (second["host"], second["left_s"]) == (None, 0.0)
     assert len(file.getvalue().splitlines()) == 2  # as without
-    with Report(jobs, [], Console(file=file), json=True, quiet=True) as report:
-        report.finished(jobs[0], {})
+    with Report(cells, [], Console(file=file), json=True, quiet=True) as report:
+        report.finished(cells[0], {})
     assert capsys.readouterr().out == ""
 
 

@@ -29,13 +29,13 @@ from pgf_jax.guidance.predictors import registry
 from pgf_jax.guidance.predictors.network import GainNetwork
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.provenance import git_commit
-from pgf_jax.sweeping import cell_store, resolve
+from pgf_jax.sweeping import cell_file
+from pgf_jax.sweeping import resolve as resolve_module
 from pgf_jax.sweeping import sweep as sweep_module
-from pgf_jax.sweeping.cell_store import keys_of
+from pgf_jax.sweeping.cell_store import only_writer
 from pgf_jax.sweeping.config import SweepConfig
-from pgf_jax.sweeping.dispatch import TURNS, shares
-from pgf_jax.sweeping.resolve import identity, prepare, task_scene
-from pgf_jax.sweeping.run_cells import Job
+from pgf_jax.sweeping.dispatch import TURNS, partition
+from pgf_jax.sweeping.resolve import CellSpec, resolve, task_scenes
 from pgf_jax.sweeping.sweep import sweep
 from pgf_jax.tables import results
 
@@ -45,7 +45,7 @@ def shipped(tmp_path_factory):
     """Sweeps here are about sweeps, whatever the networks that ship have learned."""
     folder = write_checkpoints(tmp_path_factory.mktemp("shipped"), seed=9)
     with pytest.MonkeyPatch.context() as patch:
-        for module in (registry, resolve):
+        for module in (registry, resolve_module):
             patch.setattr(module, "shipped_checkpoints", lambda: folder)
         yield folder
 
@@ -103,7 +103,7 @@ def test_cells_hold_what_was_merged(whole):
         assert found.tasks.equals(tasks.filter(own).drop("policy", "robots"))
         assert found.events.equals(events.filter(own).drop("policy", "robots"))
         assert found.about["identity"]["fleet"]["policy"] == cell.policy
-        assert file == out / "cells" / f"{cell_store.key(found.about['identity'])}.parquet"
+        assert file == out / "cells" / f"{cell_file.key(found.about['identity'])}.parquet"
         assert file.read_bytes() == found.data()
 
 
@@ -219,7 +219,7 @@ def test_manifest(whole):
 
 def test_what_is_said_beside_a_cell(whole):
     _, result = whole
-    accounts = [cell_store.read_account(file) for file in result.files.values()]
+    accounts = [cell_file.read_account(file) for file in result.files.values()]
     for (cell, file), account in zip(result.files.items(), accounts, strict=True):
         assert account["cell"] == cell.name and account["bytes"] == file.stat().st_size
         assert account["host"]["pid"] == os.getpid() and account["attempt"] == 1
@@ -312,14 +312,20 @@ def test_the_classifier_bids_where_failure_is_likely(tmp_path):
     assert sorted(trained) == ["failure", "phi_auto", "phi_human"]
 
 
+def cell_of(config: SweepConfig, policy: str) -> CellSpec:
+    """The cell of one robot under a policy."""
+    (cell,) = (c for c in resolve(config).cells if (c.cell.policy, c.cell.robots) == (policy, 1))
+    return cell
+
+
 def test_a_cell_s_identity_names_the_predictor_that_it_used(tmp_path):
     first = write_checkpoints(tmp_path / "first")
     second = write_checkpoints(tmp_path / "second", seed=1)
-    own = {policy: Cell(policy, 1, 2) for policy in ("pgf", "classifier", "autonomous")}
+    policies = ("pgf", "classifier", "autonomous")
 
     def used(predictor, policy):
-        setup = prepare(ghost(tmp_path / "out", policies=tuple(own), predictor=predictor))
-        return identity(setup, own[policy])["predictors"]
+        config = ghost(tmp_path / "out", policies=policies, predictor=predictor)
+        return cell_of(config, policy).identity["predictors"]
 
     texts = [f"{name}:{folder}" for name in ("paper", "best") for folder in (first, second)]
     for policy, different in (("pgf", 4), ("autonomous", 4), ("classifier", 2)):
@@ -330,22 +336,25 @@ def test_a_cell_s_identity_names_the_predictor_that_it_used(tmp_path):
     digest = sha256((second / "failure.msgpack").read_bytes())
     assert used(texts[3], "classifier") == {"failure": digest}
     # Who else is in the sweep does not matter.
-    alone = prepare(ghost(tmp_path / "out", policies=("pgf",), predictor=texts[2]))
-    assert identity(alone, own["pgf"])["predictors"] == used(texts[2], "pgf")
-    assert alone.classifier is None
+    alone = ghost(tmp_path / "out", policies=("pgf",), predictor=texts[2])
+    assert cell_of(alone, "pgf").identity["predictors"] == used(texts[2], "pgf")
+    assert list(resolve(alone).predictor_files) == ["gain"]
 
 
 def test_the_true_gain_is_no_network_s(tmp_path):
     folders = [write_checkpoints(tmp_path / str(seed), seed=seed) for seed in (0, 1)]
-    cell, other = Cell("oracle-gain", 1, 2), Cell("pgf", 1, 2)
-    policies, setups = (cell.policy, other.policy), []
+    found: list[tuple[CellSpec, CellSpec]] = []
     for folder in folders:
-        setups.append(prepare(ghost(tmp_path / "out", policies=policies, predictor=str(folder))))
-        assert setups[-1].bidder_of(cell) == TrueGain()
-        assert setups[-1].bidder_of(other) is setups[-1].bidder is not None
-    assert identity(setups[0], cell) == identity(setups[1], cell)
-    assert identity(setups[0], cell)["predictors"] == {}
-    assert identity(setups[0], other) != identity(setups[1], other)
+        policies = ("oracle-gain", "pgf", "or-hitl")
+        config = ghost(tmp_path / "out", robots=(1,), policies=policies, predictor=str(folder))
+        cell, other, third = resolve(config).cells
+        assert cell.fleet.predictor == TrueGain()
+        assert other.fleet.predictor is third.fleet.predictor is not None
+        found.append((cell, other))
+    (first, other_first), (second, other_second) = found
+    assert first.identity == second.identity and first.key == second.key
+    assert first.identity["predictors"] == {}
+    assert other_first.identity != other_second.identity
 
 
 def test_another_kind_of_predictor_is_another_configuration(tmp_path):
@@ -395,19 +404,20 @@ def test_scenes_of_a_folder(tmp_path):
 def test_each_robot_sees_every_file_before_any_twice(scene_files, seed, robot, turn):
     config = SweepConfig(seed=seed)
     tasks = range(turn * 5, turn * 5 + 5)
-    drawn = [task_scene(config, scene_files, robot, task).name for task in tasks]
+    drawn = [task_scenes(config, scene_files).scene(robot, task).name for task in tasks]
     assert sorted(drawn) == sorted(scene.name for scene in scene_files)
-    assert drawn == [task_scene(config, scene_files, robot, task).name for task in tasks]
+    assert drawn == [task_scenes(config, scene_files).scene(robot, task).name for task in tasks]
+    assert drawn == [task_scenes(config, scene_files).name(robot, task) for task in tasks]
 
 
 @pytest.fixture(scope="module")
 def scene_files():
-    return tuple(task_scene(SweepConfig(), None, 9, task) for task in range(5))
+    return tuple(task_scenes(SweepConfig()).scene(9, task) for task in range(5))
 
 
 def test_sampled_scenes_differ_by_seed_robot_and_task():
     scenes = [
-        task_scene(SweepConfig(seed=seed, scene_class=name), None, robot, task)
+        task_scenes(SweepConfig(seed=seed, scene_class=name)).scene(robot, task)
         for name in ("tight", "wide")
         for seed in (0, 1)
         for robot in (0, 1)
@@ -415,8 +425,8 @@ def test_sampled_scenes_differ_by_seed_robot_and_task():
     ]
     assert len({scene.objects.tobytes() for scene in scenes}) == len(scenes)
     assert scenes[3].name == "tight_0_1_1"
-    setup = prepare(ghost(Path("x")))
-    assert setup.scene_name(1, 1) == setup.scene(1, 1).name == "tight_0_1_1"
+    found = resolve(ghost(Path("x"))).scenes
+    assert found.name(1, 1) == found.scene(1, 1).name == "tight_0_1_1"
 
 
 # -- resuming ----------------------------------------------------------------------------------
@@ -426,11 +436,11 @@ def test_resume_computes_only_what_is_missing(whole, tmp_path, monkeypatch):
     out = tmp_path / "out"
     config = ghost(out)
     files = named(sweep(config, quiet=True))
-    for path in (files["or-hitl_R2"], cell_store.sidecar(files["or-hitl_R2"])):
+    for path in (files["or-hitl_R2"], cell_file.sidecar(files["or-hitl_R2"])):
         path.unlink()
     files["autonomous_R1"].unlink()  # interrupted before its last file
     kept = [files[name] for name in ("or-hitl_R1", "autonomous_R2")]
-    kept += [cell_store.sidecar(file) for file in kept]
+    kept += [cell_file.sidecar(file) for file in kept]
     before = untouched(*kept)
     result = sweep(dataclasses.replace(config, resume=True), quiet=True)
     assert result.computed == ("or-hitl_R2", "autonomous_R1")
@@ -463,7 +473,7 @@ def test_resume_without_what_stands_beside_the_cells(whole, tmp_path):
     out = tmp_path / "out"
     files = named(sweep(ghost(out), quiet=True))
     for file in files.values():
-        cell_store.sidecar(file).unlink()
+        cell_file.sidecar(file).unlink()
     file = files["or-hitl_R2"]
     data = file.read_bytes()
     file.write_bytes(data[:-20])
@@ -483,7 +493,7 @@ def test_again_without_resume_computes_again(whole, tmp_path):
     assert all(written[path] != now for path, now in untouched(out / "cells").items())
     # Whatever has become of them.
     files["autonomous_R1"].write_bytes(b"PAR1")
-    cell_store.sidecar(files["autonomous_R2"]).unlink()
+    cell_file.sidecar(files["autonomous_R2"]).unlink()
     assert sweep(config, quiet=True).computed == ("autonomous_R1", "autonomous_R2")
     assert cell_files(out) == before and len(before) == 2
 
@@ -504,13 +514,11 @@ def test_interruption_keeps_finished_cells(whole, tmp_path, monkeypatch, capsys,
         if at == "after the first" and is_cell:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(cell_store, "write_atomically", interrupted)
+    monkeypatch.setattr(cell_file, "write_atomically", interrupted)
     with pytest.raises(KeyboardInterrupt):
         sweep(ghost(out))
     assert [*out.rglob("*.parquet")] == written
-    (finished,) = [
-        cell.name for cell, key in keys_of(prepare(ghost(out))).items() if key == written[0].stem
-    ]
+    (finished,) = [cell.name for cell in resolve(ghost(out)).cells if cell.path == written[0]]
     assert len([*out.rglob("*.json")]) == 1 + (at == "in the second")
     assert {p.name for p in out.iterdir()} == {"cells"}
     assert not [p for p in out.rglob("*") if p.name.startswith(".")]
@@ -583,11 +591,14 @@ def test_pgf_without_shipped_checkpoints(tmp_path, monkeypatch):
     def none():
         raise BadInput("no shipped checkpoints")
 
-    monkeypatch.setattr(resolve, "shipped_checkpoints", none)
+    monkeypatch.setattr(resolve_module, "shipped_checkpoints", none)
     monkeypatch.setattr(registry, "shipped_checkpoints", none)
     refused(ghost(tmp_path / "out", policies=("pgf",)), "no shipped checkpoints", tmp_path)
     for policies in (("or-hitl", "autonomous"), ("oracle-gain",)):  # nobody needs them
-        assert prepare(ghost(tmp_path / "out", policies=policies)).bidder is None
+        found = resolve(ghost(tmp_path / "out", policies=policies))
+        assert found.predictor_files == {}
+        expected = TrueGain() if policies == ("oracle-gain",) else None
+        assert [cell.fleet.predictor for cell in found.cells] == [expected] * len(found.cells)
 
 
 @pytest.mark.parametrize("resume", [False, True])
@@ -660,7 +671,7 @@ def test_results_of_an_older_version(tmp_path):
 
 
 def test_a_folder_in_use(tmp_path):
-    with cell_store.only_writer(tmp_path):
+    with only_writer(tmp_path):
         refused(ghost(tmp_path), f"out: {tmp_path} is in use by another sweep", tmp_path)
     assert len(sweep(ghost(tmp_path, policies=("autonomous",)), quiet=True).computed) == 2
 
@@ -684,48 +695,56 @@ def test_folder_that_cannot_be_written(tmp_path):
 
 
 def names(parts):
-    return [[f"{job.sweep}:{job.cell.name}" for job in part] for part in parts]
+    return [[f"{cell.sweep}:{cell.name}" for cell in part] for part in parts]
 
 
-def test_shares_by_hand(tmp_path):
-    """Of one sweep: all its cells share their trees, so there are not enough families."""
-    setups = [prepare(ghost(tmp_path))]
-    jobs = [Job(0, Cell(policy, robots, 10)) for policy in "ab" for robots in (1, 10, 30)]
-    assert names(shares(setups, jobs, 3)) == [
+def cell_like(config: SweepConfig, sweep: int, *sizes) -> CellSpec:
+    """A cell of these sizes, whose searches are those of the sweep's cells."""
+    return dataclasses.replace(resolve(config).cells[0], sweep=sweep, cell=Cell(*sizes))
+
+
+def test_partition_by_hand(tmp_path):
+    """Of one sweep: all its cells share their searches, so there are not enough families."""
+    config = ghost(tmp_path)
+    cells = [cell_like(config, 0, policy, r, 10) for policy in "ab" for r in (1, 10, 30)]
+    assert names(partition(cells, 3)) == [
         ["0:a_R30"],
         ["0:b_R30"],
         ["0:a_R10", "0:b_R10", "0:a_R1", "0:b_R1"],
     ]
-    assert shares(setups, jobs[:1], 4) == [jobs[:1]]
-    parts = shares(setups, jobs, 2)
-    assert sorted([job for part in parts for job in part], key=jobs.index) == jobs
-    assert [sum(job.cell.robots for job in part) for part in parts] == [41, 41]
-    assert shares(setups, jobs, 1) == [jobs]
-    assert shares(setups, [], 2) == []
+    assert partition(cells[:1], 4) == [cells[:1]]
+    parts = partition(cells, 2)
+    assert sorted([cell for part in parts for cell in part], key=cells.index) == cells
+    assert [sum(cell.cell.robots for cell in part) for part in parts] == [41, 41]
+    assert partition(cells, 1) == [cells]
+    assert partition([], 2) == []
 
 
-def test_cells_that_share_trees_share_a_process(tmp_path):
+def test_cells_that_share_searches_share_a_process(tmp_path):
     """Where there are enough such families: here the sweeps 0 and 2, 1, and 3."""
     changes = [{}, {"seed": 1}, {"window": 9.0}, {"scene_class": "wide"}]
-    setups = [prepare(ghost(tmp_path / str(i), **each)) for i, each in enumerate(changes)]
-    small, large = Cell("a", 1, 10), Cell("a", 3, 10)
-    jobs = [Job(1, large), Job(0, small), Job(3, small), Job(2, large)]
+    configs = [ghost(tmp_path / str(i), **each) for i, each in enumerate(changes)]
+    small, large = ("a", 1, 10), ("a", 3, 10)
+    order = [(1, large), (0, small), (3, small), (2, large)]
+    cells = [cell_like(configs[i], i, *sizes) for i, sizes in order]
     one, two, three = ["0:a_R1", "2:a_R3"], ["1:a_R3"], ["3:a_R1"]
     for workers in (1, 2, 3):
-        assert names(shares(setups, jobs, workers)) == [one, two, three]
+        assert names(partition(cells, workers)) == [one, two, three]
     # A fourth process would be idle: families are torn apart.
-    assert names(shares(setups, jobs, 4)) == [two, ["2:a_R3"], ["0:a_R1"], three]
+    assert names(partition(cells, 4)) == [two, ["2:a_R3"], ["0:a_R1"], three]
 
 
 def test_a_worker_has_a_few_turns(tmp_path):
     """Of more families, as here six, it is not one each: the large ones are each alone."""
-    setups = [prepare(ghost(tmp_path / str(seed), seed=seed)) for seed in range(6)]
     sizes = [1, 9, 2, 8, 3, 7]
-    jobs = [Job(seed, Cell("a", robots, 10)) for seed, robots in enumerate(sizes)]
-    parts = shares(setups, jobs, 1)
+    cells = [
+        cell_like(ghost(tmp_path / str(seed), seed=seed), seed, "a", robots, 10)
+        for seed, robots in enumerate(sizes)
+    ]
+    parts = partition(cells, 1)
     assert TURNS == len(parts) == 4
     assert names(parts) == [["1:a_R9"], ["3:a_R8"], ["5:a_R7"], ["4:a_R3", "2:a_R2", "0:a_R1"]]
-    assert [len(part) for part in shares(setups, jobs, 2)] == [1] * 6
+    assert [len(part) for part in partition(cells, 2)] == [1] * 6
 
 
 @pytest.mark.parametrize(
@@ -748,18 +767,24 @@ def test_a_worker_has_a_few_turns(tmp_path):
         ({"random_winner": 0.5}, False),
     ],
 )
-def test_what_a_tree_depends_on(tmp_path, changes, shared):
-    ours, other = prepare(ghost(tmp_path / "a")), prepare(ghost(tmp_path / "b", **changes))
-    assert (ours.cache_key() == other.cache_key()) == shared
-    assert ours.cache_key() == prepare(ghost(tmp_path / "c")).cache_key()
+def test_what_searches_depend_on(tmp_path, changes, shared):
+    ours = cache_key(ghost(tmp_path / "a"))
+    assert (ours == cache_key(ghost(tmp_path / "b", **changes))) == shared
+    assert ours == cache_key(ghost(tmp_path / "c"))
 
 
-def test_a_tree_depends_on_what_is_in_the_scene_files(tmp_path):
+def cache_key(config: SweepConfig):
+    """What the searches of all its cells depend on."""
+    (key,) = {cell.fleet.cache_key for cell in resolve(config).cells}
+    return key
+
+
+def test_searches_depend_on_what_is_in_the_scene_files(tmp_path):
     """Not on where they lie."""
     for folder, name in (("a", "shelf"), ("b", "shelf"), ("c", "other")):
         (tmp_path / folder).mkdir()
         write_scene(tmp_path / folder / f"{name}.xml")
-    a, b, c = (prepare(ghost(tmp_path / "x", scenes=tmp_path / each)).cache_key() for each in "abc")
+    a, b, c = (cache_key(ghost(tmp_path / "x", scenes=tmp_path / each)) for each in "abc")
     assert a == b != c
 
 
@@ -769,7 +794,7 @@ def native(out, **changes):
 
 @pytest.fixture(scope="module")
 def real(tmp_path_factory):
-    """Native physics: two fleets in one queue, R = 1 and R = 2."""
+    """Native physics: two fleets with one scheduler, R = 1 and R = 2."""
     out = tmp_path_factory.mktemp("native") / "all"
     return out, sweep(native(out), quiet=True)
 
@@ -793,7 +818,7 @@ def test_processes_change_nothing_bit_for_bit(real, tmp_path):
     assert len(result.computed) == 2
     run = read_json(tmp_path, "run.json")
     assert len(run["wall_clock"]["compile_s"]) == run["batches"] == run["workers"] == 2
-    hosts = [cell_store.read_account(file)["host"]["pid"] for file in result.files.values()]
+    hosts = [cell_file.read_account(file)["host"]["pid"] for file in result.files.values()]
     assert len({*hosts, os.getpid()}) == 3
 
 

@@ -22,16 +22,15 @@ from sweep_toys import (
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.config import Cell
-from pgf_jax.parallel.processes import Stopped
+from pgf_jax.parallel.local import Stopped
 from pgf_jax.scene.sampling import PRESETS
-from pgf_jax.sweeping import cell_store, worker
-from pgf_jax.sweeping.cell_store import keys_of
+from pgf_jax.sweeping import cell_file, worker
 from pgf_jax.sweeping.config import SweepConfig
-from pgf_jax.sweeping.resolve import identity, prepare, task_scene
-from pgf_jax.sweeping.run_cells import Job, run_cells
+from pgf_jax.sweeping.resolve import resolve, task_scenes
+from pgf_jax.sweeping.run_cells import run_cells
 from pgf_jax.sweeping.sweep import sweep, sweeps
 
-# Four families: the first four sweeps share their trees; no other does.
+# Four families: the first four sweeps share their searches; no other does.
 CHANGES = {
     "plain": {},
     "window": {"policies": ("pgf", "always"), "robots": (2,), "window": 5.0, "service_mean": 3.0},
@@ -135,22 +134,22 @@ def test_neither_order_nor_processes_change_anything(toys, alone, tmp_path):
     for name, result in zip([*CHANGES][::-1], results, strict=True):
         assert same(result, alone[name])
         assert about(result, "batches") == len(about(result, "wall_clock")["compile_s"]) == 4
-        hosts |= {cell_store.read_account(file)["host"]["pid"] for file in result.files.values()}
+        hosts |= {cell_file.read_account(file)["host"]["pid"] for file in result.files.values()}
     assert len(hosts) == 2 and os.getpid() not in hosts
 
 
 def test_any_few_cells_in_any_order(toys, alone, tmp_path):
     """Cells of several sweeps, without their neighbours."""
-    setups = [prepare(config) for config in toys(tmp_path)]
-    jobs = [Job(i, cell) for i, setup in enumerate(setups) for cell in setup.config.cells()]
-    for some in (jobs[::-2], jobs[3:6] + jobs[:2]):
+    resolved = [resolve(config, number=i) for i, config in enumerate(toys(tmp_path))]
+    cells = [cell for each in resolved for cell in each.cells]
+    for some in (cells[::-2], cells[3:6] + cells[:2]):
         heard = Heard()
-        run_cells(dict(enumerate(setups)), some, heard)
-        assert sorted(heard.done, key=jobs.index) == sorted(some, key=jobs.index)
-        for (sweep_, cell), found in heard.done.items():
-            own = [*alone.values()][sweep_]
-            assert found.data() == own.files[cell].read_bytes()
-            assert cell_store.key(found.about["identity"]) == own.files[cell].stem
+        run_cells(some, heard)
+        assert sorted(heard.done, key=cells.index) == sorted(some, key=cells.index)
+        for spec, found in heard.done.items():
+            own = [*alone.values()][spec.sweep]
+            assert found.data() == own.files[spec.cell].read_bytes()
+            assert cell_file.key(found.about["identity"]) == own.files[spec.cell].stem == spec.key
     assert not [*tmp_path.iterdir()]
 
 
@@ -158,26 +157,24 @@ class Heard:
     def __init__(self):
         self.done, self.tasks = {}, {}
 
-    def progress(self, job, tasks, time_ns):
-        assert job not in self.done and tasks >= self.tasks.get(job, 0)
-        self.tasks[job] = tasks
+    def progress(self, cell, tasks, time_ns):
+        assert cell not in self.done and tasks >= self.tasks.get(cell, 0)
+        self.tasks[cell] = tasks
 
-    def finished(self, job, content):
-        assert job not in self.done
-        self.done[job] = content
+    def finished(self, cell, content):
+        assert cell not in self.done
+        self.done[cell] = content
 
 
 def test_whoever_stops_has_what_is_finished(toys, alone, tmp_path):
     """It is asked after each call, and as long as there is something to stop."""
     (config,) = toys(tmp_path, ["plain"])
-    setup = prepare(config)
-    jobs = [Job(5, cell) for cell in config.cells()]
     heard = Heard()
     with pytest.raises(Stopped):
-        run_cells({5: setup}, jobs, heard, stop=lambda: len(heard.done) >= 2)
+        run_cells(resolve(config).cells, heard, stop=lambda: len(heard.done) >= 2)
     assert 2 <= len(heard.done) < 4 == len(heard.tasks)
-    for (_, cell), found in heard.done.items():
-        assert found.data() == alone["plain"].files[cell].read_bytes()
+    for spec, found in heard.done.items():
+        assert found.data() == alone["plain"].files[spec.cell].read_bytes()
 
 
 def test_native_physics_and_an_operator_who_imagines(tmp_path, predictors):
@@ -258,8 +255,7 @@ def copied(configs, results):
 
 def files_of(config) -> dict[str, Path]:
     """The cells' files by the cells' names."""
-    keys = keys_of(prepare(config))
-    return {cell.name: cell_store.path(config.out, key) for cell, key in keys.items()}
+    return {cell.name: cell_file.path(config.out, cell.key) for cell in resolve(config).cells}
 
 
 def test_resume_keeps_the_finished_cells_of_each(toys, together, tmp_path, capsys):
@@ -267,11 +263,11 @@ def test_resume_keeps_the_finished_cells_of_each(toys, together, tmp_path, capsy
     configs = toys(tmp_path, names, resume=True)
     copied(configs[:2], [together[name] for name in names[:2]])
     first, second = map(files_of, configs[:2])
-    for file in (first["or-hitl_R2"], cell_store.sidecar(first["or-hitl_R2"])):
+    for file in (first["or-hitl_R2"], cell_file.sidecar(first["or-hitl_R2"])):
         file.unlink()
     second["pgf_R1"].unlink()  # interrupted before its last file
     kept = [first["or-hitl_R1"], first["autonomous_R2"], second["random_R1"]]
-    kept += [cell_store.sidecar(file) for file in kept]
+    kept += [cell_file.sidecar(file) for file in kept]
     before = untouched(*kept)
     results = sweeps(configs)
     assert [result.computed for result in results] == [
@@ -301,13 +297,13 @@ def test_resume_keeps_the_finished_cells_of_each(toys, together, tmp_path, capsy
 def test_an_interruption_keeps_what_is_finished(toys, together, tmp_path, monkeypatch, capsys):
     names = ["window", "plain"]
 
-    def interrupted(setups, jobs, listener, **more):
+    def interrupted(cells, listener, **more):
         class Impatient(Heard):
-            def finished(self, job, content):
-                listener.finished(job, content)
+            def finished(self, cell, content):
+                listener.finished(cell, content)
                 raise KeyboardInterrupt
 
-        return run_cells(setups, jobs, Impatient(), **more)
+        return run_cells(cells, Impatient(), **more)
 
     monkeypatch.setattr(worker, "run_cells", interrupted)
     with pytest.raises(KeyboardInterrupt):
@@ -329,13 +325,13 @@ def test_an_interruption_keeps_what_is_finished(toys, together, tmp_path, monkey
 def test_all_classes_come_in_turn():
     config = SweepConfig(scene_class="all", seed=3)
     for robot in range(4):
-        names = [task_scene(config, None, robot, task).name for task in range(6)]
+        names = [task_scenes(config).scene(robot, task).name for task in range(6)]
         turns = [PRESETS[(robot + task) % 3] for task in range(6)]
         assert names == [f"{turn}_3_{robot}_{task}" for task, turn in enumerate(turns)]
         assert sorted(turns) == sorted(PRESETS * 2)
     # At all times the classes are mixed over the fleet.
     for task in range(6):
-        drawn = [task_scene(config, None, robot, task).name for robot in range(3)]
+        drawn = [task_scenes(config).scene(robot, task).name for robot in range(3)]
         assert {name.split("_")[0] for name in drawn} == {"tight", "medium", "wide"}
 
 
@@ -343,15 +339,12 @@ def test_all_classes_come_in_turn():
 def test_scenes_of_a_class_are_those_of_its_own_sweep(seed):
     for robot in range(3):
         for task in range(4):
-            scene = task_scene(SweepConfig(scene_class="all", seed=seed), None, robot, task)
+            scene = task_scenes(SweepConfig(scene_class="all", seed=seed)).scene(robot, task)
             name = scene.name.split("_")[0]
             own = {
-                each: task_scene(
-                    SweepConfig(scene_class=each, seed=seed),  # pyright: ignore[reportArgumentType]
-                    None,
-                    robot,
-                    task,
-                )
+                each: task_scenes(
+                    SweepConfig(scene_class=each, seed=seed)  # pyright: ignore[reportArgumentType]
+                ).scene(robot, task)
                 for each in PRESETS
             }
             assert scene.name == own[name].name and scene.goal == own[name].goal
@@ -368,23 +361,25 @@ def test_all_classes_are_the_same_for_every_policy_and_size(toys, tmp_path):
     assert scenes["scene"].explode().to_list() == named
     manifest = json.loads((result.out / "manifest.json").read_text())
     assert manifest["scenes"] == {"class": "all", "objects": 20}
-    setup = prepare(config)
-    assert [setup.scene(r, t).name for r in range(3) for t in range(3)] == named
-    assert [setup.scene_name(r, t) for r in range(3) for t in range(3)] == named
+    drawn = resolve(config).scenes
+    assert [drawn.scene(r, t).name for r in range(3) for t in range(3)] == named
+    assert [drawn.name(r, t) for r in range(3) for t in range(3)] == named
 
 
 def test_a_random_winner_is_another_sweep(toys, alone, tmp_path):
     cell, changes = Cell("or-hitl", 1, 2), CHANGES["winner"]
-    setups = [
-        prepare(config)
-        for q in (0.5, 0.25)
-        for config in toys(tmp_path, ["winner"], random_winner=q)
+    configs = [
+        config for q in (0.5, 0.25) for config in toys(tmp_path, ["winner"], random_winner=q)
     ]
-    identities = [
-        identity(setup, cell) for setup in (*setups, prepare(toys(tmp_path, ["plain"])[0]))
+    specs = [
+        spec
+        for config in (*configs, toys(tmp_path, ["plain"])[0])
+        for spec in resolve(config).cells
+        if spec.cell == cell
     ]
+    identities = [spec.identity for spec in specs]
     assert [each["planner"]["random_winner"] for each in identities] == [0.5, 0.25, 0.0]
-    assert changes["random_winner"] == setups[0].compile_key()[2].random_winner
+    assert changes["random_winner"] == specs[0].fleet.compile_key[2].random_winner
     # It is in the planner that computes: other trajectories win.
     winner, plain = (alone[name].cell(cell) for name in ("winner", "plain"))
     assert not winner.events.equals(plain.events)

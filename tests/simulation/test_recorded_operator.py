@@ -21,11 +21,19 @@ from pgf_jax.planning.types import UNANSWERED, Push
 from pgf_jax.simulation.recorded_operator import Recording
 from pgf_jax.simulation.runner import FleetRunner
 from pgf_jax.sweeping.config import SweepConfig
-from pgf_jax.sweeping.replay import agreed, compare, replay, replaying, settings_of, snapshots
-from pgf_jax.sweeping.resolve import identity, prepare
+from pgf_jax.sweeping.replay import (
+    agreed_settings,
+    replay,
+    replay_config,
+    replay_difference,
+    settings_of,
+    snapshots,
+)
+from pgf_jax.sweeping.resolve import resolve
 from pgf_jax.sweeping.sweep import sweeps
 from pgf_jax.tables import results
 from pgf_jax.tables.event_log import JOURNAL, TABLE, EventLog, Journal, digest, line, write_log
+from pgf_jax.tables.parquet import encode_table
 
 S = 10**9
 FEW = [
@@ -145,12 +153,12 @@ def test_settings_that_agree():
     path = Path("log")
     whole = {"a": 1, "b": 2, "c": [3]}
     for ours in (defaults, whole, defaults | {"b": 2}):
-        assert agreed(ours, defaults, recorded, path) == whole
+        assert agreed_settings(ours, defaults, recorded, path) == whole
     with pytest.raises(BadInput) as caught:
-        agreed(defaults | {"b": 3}, defaults, recorded, path)
+        agreed_settings(defaults | {"b": 3}, defaults, recorded, path)
     assert str(caught.value) == "b: 3, but log was recorded with 2; leave it out"
     with pytest.raises(BadInput) as caught:
-        agreed(defaults, defaults, {"a": 1, "b": 2}, path)
+        agreed_settings(defaults, defaults, {"a": 1, "b": 2}, path)
     assert str(caught.value) == "log: its settings lack c"
 
 
@@ -164,12 +172,12 @@ CONFIG = SweepConfig(operator="replay", log=Path("events.jsonl"))
 
 def test_a_replay_takes_over_what_was_recorded():
     log = log_of([], about(seed=5, tasks=3, window=4.0))
-    config = replaying(dataclasses.replace(CONFIG, out=Path("here")), log)
+    config = replay_config(dataclasses.replace(CONFIG, out=Path("here")), log)
     assert (config.seed, config.tasks, config.window, config.engine) == (5, 3, 4.0, "ghost")
     assert (config.robots, config.policies) == ((2,), ("or-hitl",))
     assert (config.operator, config.log, config.out) == ("replay", CONFIG.log, Path("here"))
     with pytest.raises(BadInput, match=r"seed: 4, but events\.jsonl was recorded with 5"):
-        replaying(dataclasses.replace(CONFIG, seed=4), log)
+        replay_config(dataclasses.replace(CONFIG, seed=4), log)
 
 
 def ended(tasks, time_ns=50):
@@ -194,7 +202,7 @@ def ended(tasks, time_ns=50):
     ids=["whole", "killed", "killed at once", "nothing", "stopped"],
 )
 def test_the_horizon_of_a_replay(events, horizon):
-    config = replaying(CONFIG, log_of(events, about()))
+    config = replay_config(CONFIG, log_of(events, about()))
     if horizon is None:
         assert config.horizon is None
         return
@@ -209,7 +217,7 @@ def test_the_horizon_of_a_replay(events, horizon):
 
 def test_a_recorded_horizon_is_kept():
     whole = ended([(0, 0), (0, 1), (1, 0), (1, 1)])
-    assert replaying(CONFIG, log_of(whole, about(horizon=90.0))).horizon == 90.0
+    assert replay_config(CONFIG, log_of(whole, about(horizon=90.0))).horizon == 90.0
 
 
 def changed_settings(**changes):
@@ -239,20 +247,20 @@ def changed_settings(**changes):
 )
 def test_settings_of_a_log_that_cannot_be_used(said, words):
     with pytest.raises(BadInput) as caught:
-        replaying(CONFIG, log_of([], said))
+        replay_config(CONFIG, log_of([], said))
     assert str(caught.value).startswith(f"events.jsonl: {words}")
     assert "\n" not in str(caught.value)
 
 
 def test_where_a_replay_went_another_way():
     log = log_of(FEW, about())
-    assert compare(FEW, log) is None
-    assert compare([*FEW, FEW[0]], log) is None
+    assert replay_difference(FEW, log) is None
+    assert replay_difference([*FEW, FEW[0]], log) is None
     others = [*FEW[:4], FEW[4]._replace(time_ns=13), *FEW[5:]]
-    assert compare(others, log) == (
+    assert replay_difference(others, log) == (
         "events.jsonl: the replay differs from event 5 on; it was recorded with pgf_jax 7"
     )
-    assert str(compare(FEW[:2], log_of(FEW))).endswith("event 3 on; it was recorded with "
+    assert str(replay_difference(FEW[:2], log_of(FEW))).endswith("event 3 on; it was recorded with "
                                                        "other versions")  # fmt: skip
 
 
@@ -279,12 +287,12 @@ class Recorded:
     """A session with a person who does as chance will have it, and what it left behind."""
 
     folder: Path
-    play: FleetRunner
+    runner: FleetRunner
     about: dict
 
     @property
     def events(self) -> list[Event]:
-        return self.play.fleet.events
+        return self.runner.fleet.events
 
     def write(self, folder: Path, events: list[Event], name: str = JOURNAL) -> Path:
         if name == TABLE:
@@ -300,23 +308,23 @@ class Recorded:
 def record(folder: Path, seed: int, *, stop_ns: int | None = None, **changes) -> Recorded:
     settings = {"robots": (2,), "policies": ("eager",), "operator": "live", "seed": 0}
     config = ghost(folder, **(settings | changes))
-    setup, (cell,) = prepare(config), config.cells()
+    (cell,) = resolve(config).cells
     asked: list[InputRequest] = []
     operator = LiveOperator(asked.append, None)
 
     def new_fleet(planned):
-        return Fleet(config.fleet(cell), planned, service=operator)
+        return Fleet(cell.fleet.config, planned, service=operator)
 
-    play = FleetRunner.of(setup, cell, new_fleet=new_fleet, operator=operator)
+    runner = FleetRunner.of(cell.fleet, new_fleet=new_fleet, operator=operator)
     chance, time_ns = random.Random(seed), 0
-    while not play.fleet.done:
+    while not runner.fleet.done:
         time_ns += chance.choice([1, S // 3, 2 * S, 11 * S])
-        play.run_until(time_ns)
+        runner.run_until(time_ns)
         if stop_ns is not None and time_ns > stop_ns:
-            play.fleet.stop()
-            play.run_until()
+            runner.fleet.stop()
+            runner.run_until()
             break
-        asked[:] = [each for each in asked if play.fleet.operators.serving(0) == each.robot][-1:]
+        asked[:] = [each for each in asked if runner.fleet.operators.serving(0) == each.robot][-1:]
         if asked and chance.random() < 0.6:
             each = asked.pop()
             x, y = map(float, each.view.objects[5])
@@ -326,9 +334,9 @@ def record(folder: Path, seed: int, *, stop_ns: int | None = None, **changes) ->
                 )
             )
         if chance.random() < 0.1:
-            play.fleet.attend(0, chance.random() < 0.7)
-    return Recorded(folder, play, {"settings": settings_of(config), "identity":
-                                   identity(setup, cell)})  # fmt: skip
+            runner.fleet.set_attendance(0, chance.random() < 0.7)
+    about = {"settings": settings_of(config), "identity": cell.identity}
+    return Recorded(folder, runner, about)
 
 
 @pytest.fixture(scope="module")
@@ -359,7 +367,7 @@ def test_a_sweep_replays_a_session(name, session, tmp_path):
     assert same(swept(log.parent if name == "folder" else log, out), session.events)
     tasks = results.read_results(out / "tasks.parquet", results.TASK_SCHEMA)
     assert repr(results.task_records(tasks)) == repr(
-        sorted(session.play.fleet.records, key=lambda record: (record.robot, record.task))
+        sorted(session.runner.fleet.records, key=lambda record: (record.robot, record.task))
     )
     # Named again, the settings are the same; and it can be gone on with like any sweep.
     assert same(
@@ -397,12 +405,12 @@ def test_a_session_that_was_killed_at_the_start_of_a_task_is_replayed(session, t
 
 def replayed(log: Path) -> str | None:
     """What a replay says of a log, without a sweep's files."""
-    play, recorded = replay(log)
-    play.run_until()
-    return compare(play.fleet.events, recorded)
+    runner, recorded = replay(log)
+    runner.run_until()
+    return replay_difference(runner.fleet.events, recorded)
 
 
-def test_a_play_replays_a_session(session, tmp_path):
+def test_a_runner_replays_a_session(session, tmp_path):
     log = session.write(tmp_path / "log", session.events)
     assert replayed(log) is None
     frames = list(snapshots(log, every_ns=7 * S))
@@ -491,7 +499,7 @@ def test_a_log_of_a_sweep_is_not_replayed(tmp_path):
     found = pgf_jax.sweep(config, quiet=True)
     cell = config.cells()[0]
     one = tmp_path / TABLE  # of one fleet, as that of a session
-    one.write_bytes(results.parquet(found.cell(cell).events))
+    one.write_bytes(encode_table(found.cell(cell).events))
     for log in (found.out, one):
         with pytest.raises(BadInput, match="does not say its settings"):
             swept(log, tmp_path / "out")

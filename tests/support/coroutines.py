@@ -1,4 +1,4 @@
-"""Deliberations run to their ends, and robots' states to begin them from."""
+"""Coroutines run to their ends, and robots' states to begin them from."""
 
 import functools
 from collections.abc import Sequence
@@ -23,49 +23,49 @@ HOPELESS = {0: Push(6, 0.3, 0.0), 2: Push(6, 0.3, 0.0)}
 
 
 def native(lanes: int = 2) -> PlannerService:
-    """A computer of C MuJoCo."""
+    """A planner service of C MuJoCo."""
     return make_planner_service("native", "default", Planner(), lanes, 20)
 
 
-def run(deliberation: Coroutine, on: PlannerService | None = None) -> Any:
-    """The result of one deliberation."""
-    return run_all([deliberation], on)[0]
+def run(coroutine: Coroutine, on: PlannerService | None = None) -> Any:
+    """The result of one coroutine."""
+    return run_all([coroutine], on)[0]
 
 
-def run_all(deliberations: Sequence[Coroutine], on: PlannerService | None = None) -> list[Any]:
-    """The results of several that share a queue."""
-    queue = BatchScheduler(on or native())
+def run_all(coroutines: Sequence[Coroutine], on: PlannerService | None = None) -> list[Any]:
+    """The results of several that share a scheduler."""
+    scheduler = BatchScheduler(on or native())
     results: dict[int, Any] = {}
-    for i, deliberation in enumerate(deliberations):
-        queue.submit(deliberation, functools.partial(results.__setitem__, i))
-    while len(queue):
-        queue.run_batch()
-    return [results[i] for i in range(len(deliberations))]
+    for i, coroutine in enumerate(coroutines):
+        scheduler.submit(coroutine, functools.partial(results.__setitem__, i))
+    while len(scheduler):
+        scheduler.run_batch()
+    return [results[i] for i in range(len(coroutines))]
 
 
-def traced(deliberation: Coroutine, on: PlannerService | None = None) -> tuple[Any, list[Request]]:
+def traced(coroutine: Coroutine, on: PlannerService | None = None) -> tuple[Any, list[Request]]:
     """The result of one, and all that it asked."""
     on, asked, answers = on or native(), [], None
     while True:
         try:
-            requests = deliberation.send(answers)  # pyright: ignore[reportArgumentType]
+            requests = coroutine.send(answers)  # pyright: ignore[reportArgumentType]
         except StopIteration as end:
             return end.value, asked
         asked += requests
         answers = on.compute(requests)
 
 
-def key(words: Sequence[int]) -> np.ndarray:
-    """The planner's key of some words, folded in one after another."""
+def key(path: Sequence[int]) -> np.ndarray:
+    """The planner's key of a key path, whose numbers are folded in one after another."""
     folded = jax.random.key(0)
-    for word in words:
-        folded = jax.random.fold_in(folded, word)
+    for number in path:
+        folded = jax.random.fold_in(folded, number)
     return np.asarray(jax.random.key_data(folded))
 
 
-def stepped(search: Search, words: Sequence[int]) -> Search:
-    """A search after an iteration, without any queue."""
-    (after,) = native().planner.step([search], [key(words)])
+def stepped(search: Search, path: Sequence[int]) -> Search:
+    """A search after an iteration, without any scheduler."""
+    (after,) = native().planner.step([search], [key(path)])
     return after
 
 
@@ -82,5 +82,5 @@ def unsolved(seed: int) -> Search:
 
 
 def turn(seed: int) -> tuple[int, int, int, int]:
-    """Whose turn it is then."""
+    """The decision key of that moment."""
     return seed, 0, 0, DONE

@@ -1,4 +1,4 @@
-"""The trees that fleets share: what is kept and for how long, and that nothing is done twice."""
+"""The searches that fleets share: what is kept and for how long; nothing is computed twice."""
 
 import types
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.planning.config import Planner
 from pgf_jax.planning.types import Push
 from pgf_jax.scene import load_scene, sample_scene
-from pgf_jax.simulation.loop import run_fleets
+from pgf_jax.simulation.loop import PlannedFleet, run_fleets
 from pgf_jax.simulation.planned_robots import PlannedRobots
 from pgf_jax.simulation.search_cache import Node, SearchCache
 from pgf_jax.tables.results import events_frame
@@ -37,8 +37,8 @@ class Watched(Nudge):
     def __init__(self) -> None:
         self.asked: list[tuple] = []
 
-    def deliberate(self, view, search, planner, at):
-        self.asked.append(at)
+    def deliberate(self, view, search, planner, decision_key):
+        self.asked.append(decision_key)
         return self.decide(view)
         yield
 
@@ -54,8 +54,8 @@ class Column:
         return states[:, self.column].astype(np.float32)
 
 
-class Grove:
-    """Fleets that share trees in a toy world, and every iteration that they have computed."""
+class Shared:
+    """Fleets that share searches in a toy world, and every iteration that they have computed."""
 
     def __init__(self, configs: Sequence[FleetConfig], predictors: Sequence[Any] = ()) -> None:
         self.planner_service, self.operator = (
@@ -69,14 +69,15 @@ class Grove:
             self.planner_service, scenes=scene, operator=self.operator, seed=0
         )
         predictors = predictors or [None] * len(configs)
-        planned_fleets = [
+        all_robots = [
             PlannedRobots(
                 self.search_cache, robots=config.robots, tasks=config.tasks, predictor=predictor
             )
             for config, predictor in zip(configs, predictors, strict=True)
         ]
-        self.pairs = [
-            (Fleet(config, c), c) for config, c in zip(configs, planned_fleets, strict=True)
+        self.fleets = [
+            PlannedFleet(Fleet(config, robots), robots)
+            for config, robots in zip(configs, all_robots, strict=True)
         ]
 
     def _note(self, requests) -> None:
@@ -86,11 +87,14 @@ class Grove:
             if isinstance(r, Step)
         ]
 
-    def drive(self, **how) -> int:
-        return run_fleets(self.pairs, self.planner_service, **how)
+    def run(self, **how) -> int:
+        """Run them to their ends; returns how many iterations robots have requested."""
+        done = list(run_fleets(self.fleets, self.planner_service, **how))
+        assert sorted(map(id, done)) == sorted(map(id, self.fleets))
+        return sum(planned.robots.iterations for planned in done)
 
     def logs(self):
-        return [events_frame(fleet.events) for fleet, _ in self.pairs]
+        return [events_frame(planned.fleet.events) for planned in self.fleets]
 
 
 def turns(gone) -> list[tuple]:
@@ -148,14 +152,14 @@ def test_what_an_operator_says_the_second_time_is_another_thing():
     """Even where nothing has happened since, as when it says "go on" before planning."""
     on, said = make_planner_service("ghost", "default", Planner(), 4, 20), []
     search_cache = SearchCache(on, scenes=scene, operator=Counts(), seed=0)
-    planned_fleets, queue = [PlannedRobots(search_cache) for _ in range(3)], BatchScheduler(on)
-    for planned, times in zip(planned_fleets, (1, 2, 1), strict=True):
+    all_robots, scheduler = [PlannedRobots(search_cache) for _ in range(3)], BatchScheduler(on)
+    for planned, times in zip(all_robots, (1, 2, 1), strict=True):
         planned.begin(0, 0)
         for i in range(times):
-            queue.submit(planned.coroutine(Work(0, 0, WorkKind.INPUT, 0, i)), said.append)
+            scheduler.submit(planned.coroutine(Work(0, 0, WorkKind.INPUT, 0, i)), said.append)
         planned.start_push(0, said[-1])
     assert [push.object for push in said] == [0, 0, 1, 0]
-    first, second, third = (planned.robots[0].node for planned in planned_fleets)
+    first, second, third = (planned.robots[0].node for planned in all_robots)
     assert first is third and first is not second
     assert [int(node.search.task.pushed) for node in (first, second)] == [0, 1]
 
@@ -168,7 +172,7 @@ def test_what_an_operator_says_the_second_time_is_another_thing():
     fleets=st.lists(st.tuples(st.integers(1, 3), st.integers(1, 3)), min_size=1, max_size=4),
     data=st.data(),
 )
-def test_a_tree_is_kept_until_all_that_joined_are_done_with_it(fleets, data):
+def test_a_task_is_kept_until_all_that_retained_it_have_released_it(fleets, data):
     planner = types.SimpleNamespace(begin_reach=lambda world, goal: None)
     planner_service = types.SimpleNamespace(
         engine=types.SimpleNamespace(n_objects=20), planner=planner
@@ -188,9 +192,9 @@ def test_a_tree_is_kept_until_all_that_joined_are_done_with_it(fleets, data):
     turns = [(key, turn) for key, count in left.items() for turn in range(count)]
     for key, _ in data.draw(st.permutations(turns)):
         if data.draw(st.booleans()):  # or the horizon came before
-            tree = search_cache.task(*key)
-            assert begun.setdefault(key, tree) is tree and tree.scene is SCENE
-            assert search_cache.task(*key) is tree
+            task = search_cache.task(*key)
+            assert begun.setdefault(key, task) is task and task.scene is SCENE
+            assert search_cache.task(*key) is task
         search_cache.release(*key)
         left[key] -= 1
         assert len(search_cache) == sum(left[k] > 0 for k in begun)
@@ -201,30 +205,30 @@ SCENE = scene(0, 0)
 
 
 @pytest.mark.parametrize("at_once", [None, 1])
-def test_no_tree_outlives_its_fleets(at_once):
+def test_no_task_outlives_its_fleets(at_once):
     """Of different sizes; the horizon leaves tasks of the second unbegun, and some under way."""
-    grove = Grove([fleet("or-hitl", 1, 3), fleet("autonomous", 3, 20, horizon_s=15.0)])
+    shared = Shared([fleet("or-hitl", 1, 3), fleet("autonomous", 3, 20, horizon_s=15.0)])
     kept = []
 
     def look():
-        kept.append(len(grove.search_cache))
-        under_way = [c.robots for f, c in grove.pairs if not f.done]
+        kept.append(len(shared.search_cache))
+        under_way = [p.robots.robots for p in shared.fleets if not p.fleet.done]
         assert kept[-1] >= len({(r, robots[r].task) for robots in under_way for r in robots})
 
-    grove.drive(at_once=at_once, on_round=look)
-    (whole, first), (cut, second) = grove.pairs
-    assert max(kept) >= 3 and len(grove.search_cache) == 0
-    assert first.robots == second.robots == {}
+    shared.run(at_once=at_once, on_batch=look)
+    (whole, first, _), (cut, second, _) = shared.fleets
+    assert max(kept) >= 3 and len(shared.search_cache) == 0
+    assert first.robots.keys() == {0} and second.robots.keys() == {0, 1, 2}  # their last tasks
     begun = [{(r.robot, r.task) for r in ended.records} for ended in (whole, cut)]
     assert (0, 2) in begun[0] - begun[1] and (2, 0) in begun[1]
 
 
 def test_a_fleet_that_begins_later_finds_what_others_left_for_it():
-    grove = Grove([fleet("or-hitl", 2, 2), fleet("or-hitl", 2, 2)])
-    asked = grove.drive(at_once=1)
-    (first, _), (second, _) = grove.pairs
+    shared = Shared([fleet("or-hitl", 2, 2), fleet("or-hitl", 2, 2)])
+    asked = shared.run(at_once=1)
+    (first, *_), (second, *_) = shared.fleets
     assert repr(first.events) == repr(second.events)
-    assert asked == 2 * len(grove.steps) > 0 and len(grove.search_cache) == 0
+    assert asked == 2 * len(shared.steps) > 0 and len(shared.search_cache) == 0
 
 
 def test_a_scene_of_another_number_of_objects_is_named(tmp_path):
@@ -237,7 +241,7 @@ def test_a_scene_of_another_number_of_objects_is_named(tmp_path):
     with pytest.raises(BadInput, match=message):
         search_cache.task(0, 0)
     with pytest.raises(BadInput, match=message):
-        run_fleets([(Fleet(fleet("autonomous", 1, 1), planned), planned)], on)
+        list(run_fleets([PlannedFleet(Fleet(fleet("autonomous", 1, 1), planned), planned)], on))
     assert len(search_cache) == 0
 
 
@@ -245,12 +249,12 @@ def test_a_scene_of_another_number_of_objects_is_named(tmp_path):
 
 
 def test_no_branch_is_computed_twice_and_no_input_given_twice():
-    grove = Grove(NEEDY)
-    asked = grove.drive()
-    gone, logs = ways(*grove.logs()), grove.logs()
-    assert len(set(grove.steps)) == len(grove.steps) == len(gone.iterations)
-    assert asked == sum((log["kind"] == "iteration").sum() for log in logs) > len(grove.steps)
-    assert sorted(grove.operator.asked) == turns(gone.inputs)
+    shared = Shared(NEEDY)
+    asked = shared.run()
+    gone, logs = ways(*shared.logs()), shared.logs()
+    assert len(set(shared.steps)) == len(shared.steps) == len(gone.iterations)
+    assert asked == sum((log["kind"] == "iteration").sum() for log in logs) > len(shared.steps)
+    assert sorted(shared.operator.asked) == turns(gone.inputs)
     answers = sum(log["outcome"].is_in(["push", "go_on"]).sum() for log in logs)
     assert answers > len(gone.inputs)
     # All that may happen did.
@@ -260,9 +264,9 @@ def test_no_branch_is_computed_twice_and_no_input_given_twice():
 
 def test_gains_are_predicted_once_for_each_predictor():
     distance, number = Column("distance"), Column("iteration")
-    grove = Grove(NEEDY[:3], [distance, number, distance])
-    grove.drive()
-    first, second, third = grove.logs()
+    shared = Shared(NEEDY[:3], [distance, number, distance])
+    shared.run()
+    first, second, third = shared.logs()
     assert distance.asked == len(ways(first, third).reaches)
     assert distance.asked < len(ways(first).reaches) + len(ways(third).reaches)
     assert number.asked == len(ways(second).reaches)
@@ -279,25 +283,25 @@ class Seen(TrueGain):
 
     turns: ClassVar[list[tuple]] = []
 
-    def deliberate(self, search, what, planner, at):
-        self.turns.append(at)
-        return (yield from super().deliberate(search, what, planner, at))
+    def simulate_gain(self, search, input_request, planner, decision_key):
+        self.turns.append(decision_key)
+        return (yield from super().simulate_gain(search, input_request, planner, decision_key))
 
 
 def test_true_gains_and_the_operator_ask_for_one_input():
     """The input that the gain is of is the one that is given; and so for all fleets."""
     configs = [fleet("oracle-gain", 2, 2), fleet("or-hitl", 1, 2), fleet("oracle-gain", 1, 2)]
-    grove = Grove(configs, [Seen(), None, Seen()])
+    shared = Shared(configs, [Seen(), None, Seen()])
     Seen.turns.clear()
-    grove.drive()
-    gone, (first, _, third) = ways(*grove.logs()), grove.logs()
+    shared.run()
+    gone, (first, _, third) = ways(*shared.logs()), shared.logs()
     assert len(gone.gains - gone.inputs) > 0 and len(gone.gains & gone.inputs) > 0
-    assert sorted(grove.operator.asked) == turns(gone.gains | gone.inputs)
+    assert sorted(shared.operator.asked) == turns(gone.gains | gone.inputs)
     assert sorted(Seen.turns) == turns(ways(first, third).reaches)
     # Of the two, the gains of one robot are those of the other's.
-    alone = Grove(configs[2:], [TrueGain()])
-    alone.drive()
-    assert repr(alone.pairs[0][0].events) == repr(grove.pairs[2][0].events)
+    alone = Shared(configs[2:], [TrueGain()])
+    alone.run()
+    assert repr(alone.fleets[0].fleet.events) == repr(shared.fleets[2].fleet.events)
 
 
 # -- exactness -----------------------------------------------------------------------------------
@@ -324,14 +328,14 @@ SPEAK = [Column("distance"), Column("iteration"), None]  # what may be bid
     fleets=st.lists(st.tuples(CONFIGS, st.sampled_from(SPEAK)), min_size=2, max_size=4),
     at_once=st.sampled_from((None, 1, 2)),
 )
-def test_fleets_on_shared_trees_do_what_they_do_alone(fleets, at_once):
-    together = Grove([c for c, _ in fleets], [predictor for _, predictor in fleets])
-    together.drive(at_once=at_once)
+def test_fleets_that_share_searches_do_what_they_do_alone(fleets, at_once):
+    together = Shared([c for c, _ in fleets], [predictor for _, predictor in fleets])
+    together.run(at_once=at_once)
     assert len(together.search_cache) == 0
-    for (config, predictor), (shared, _) in zip(fleets, together.pairs, strict=True):
-        own = Grove([config], [predictor])
-        own.drive()
-        ((alone, _),) = own.pairs
+    for (config, predictor), (shared, *_) in zip(fleets, together.fleets, strict=True):
+        own = Shared([config], [predictor])
+        own.run()
+        ((alone, *_),) = own.fleets
         assert repr(alone.events) == repr(shared.events)
         assert sorted(map(repr, alone.records)) == sorted(map(repr, shared.records))
         assert len(own.steps) <= len(together.steps)

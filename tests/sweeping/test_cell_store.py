@@ -18,8 +18,9 @@ from pgf_jax.errors import BadInput
 from pgf_jax.files import sha256, write_atomically
 from pgf_jax.fleet.events import EventKind
 from pgf_jax.planning.types import Status
-from pgf_jax.sweeping import cell_store
-from pgf_jax.sweeping.cell_store import Content
+from pgf_jax.sweeping import cell_file
+from pgf_jax.sweeping.cell_file import Content
+from pgf_jax.sweeping.cell_store import only_writer
 from pgf_jax.tables import results
 from pgf_jax.tables.parquet import encode_table
 from pgf_jax.tables.results import EVENT_SCHEMA, TASK_SCHEMA
@@ -38,22 +39,22 @@ def content(**changes) -> Content:
 
 def signed(file: Path, data: bytes) -> None:
     """Bytes in place of a cell's, with what stands beside them."""
-    account = json.loads(cell_store.sidecar(file).read_bytes())
+    account = json.loads(cell_file.sidecar(file).read_bytes())
     file.write_bytes(data)
-    cell_store.sidecar(file).write_text(json.dumps(account | {"sha256": sha256(data)}))
+    cell_file.sidecar(file).write_text(json.dumps(account | {"sha256": sha256(data)}))
 
 
 @pytest.fixture
 def written(tmp_path):
     """A cell's file, and what it holds."""
-    file = cell_store.path(tmp_path, cell_store.key(IDENTITY))
-    cell_store.write(file, content().data(), {"host": {"name": "here"}})
+    file = cell_file.path(tmp_path, cell_file.key(IDENTITY))
+    cell_file.write(file, content().data(), {"host": {"name": "here"}})
     return file, content()
 
 
 def refused(file: Path, message: str, named: Path | None = None) -> None:
     with pytest.raises(BadInput) as caught:
-        cell_store.read(file)
+        cell_file.read(file)
     said = str(caught.value)
     assert said.startswith(f"{named or file}: ") and said.isprintable()
     assert message in said
@@ -71,7 +72,7 @@ def same(found: Content, expected: Content) -> None:
 
 def test_a_cell_comes_back(written):
     file, expected = written
-    found = cell_store.read(file)
+    found = cell_file.read(file)
     same(found, expected)
     # Not of nothing: what is null, in lists and beside them, and what is not finite.
     assert found.tasks["first_grant"].null_count() > 0 and found.tasks["cost"].is_infinite().any()
@@ -83,7 +84,7 @@ def test_a_cell_comes_back(written):
         f"{file.stem}.json",
         f"{file.stem}.parquet",
     ]
-    assert cell_store.read_account(file) == {
+    assert cell_file.read_account(file) == {
         "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
         "bytes": file.stat().st_size,
         "host": {"name": "here"},
@@ -100,12 +101,12 @@ def test_a_cell_is_one_row_that_others_can_read(written):
 
 
 def test_empty_tables_come_back(tmp_path):
-    file = cell_store.path(tmp_path, cell_store.key(IDENTITY))
+    file = cell_file.path(tmp_path, cell_file.key(IDENTITY))
     tables = (pl.DataFrame(schema=TASK_SCHEMA), pl.DataFrame(schema=EVENT_SCHEMA))
     for tasks, events in (tables, (tables[0], content().events), (content().tasks, tables[1])):
         expected = Content(tasks, events, ABOUT)
-        cell_store.write(file, expected.data(), {})
-        same(cell_store.read(file), expected)
+        cell_file.write(file, expected.data(), {})
+        same(cell_file.read(file), expected)
 
 
 def _column(name: str, dtype: pl.DataType) -> st.SearchStrategy:
@@ -149,11 +150,11 @@ ABOUTS = st.dictionaries(st.text(max_size=5), JSON, max_size=4)
 def test_any_tables_come_back(tasks, events, identity, others):
     expected = Content(tasks, events, others | {"identity": identity})
     data = expected.data()
-    found = cell_store.decode(data, Path("x"))
+    found = cell_file.decode(data, Path("x"))
     assert found.tasks.equals(tasks) and found.events.equals(events)
     assert found.about == expected.about
     assert found.data() == data == expected.data()
-    assert cell_store.key(found.about["identity"]) == cell_store.key(identity)
+    assert cell_file.key(found.about["identity"]) == cell_file.key(identity)
 
 
 def test_the_same_content_is_the_same_bytes(tmp_path):
@@ -166,9 +167,9 @@ def test_the_same_content_is_the_same_bytes(tmp_path):
     path = tmp_path / "x"
     path.write_bytes(content().data())
     code = (
-        "import sys; from pathlib import Path; from pgf_jax.study import cells\n"
+        "import sys; from pathlib import Path; from pgf_jax.sweeping import cell_file\n"
         "path = Path(sys.argv[1])\n"
-        "print(path.read_bytes() == cells.decode(path.read_bytes(), path).data())"
+        "print(path.read_bytes() == cell_file.decode(path.read_bytes(), path).data())"
     )
     done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True)
     assert done.stdout == "True\n", done.stderr
@@ -180,7 +181,7 @@ def test_the_same_content_is_the_same_bytes(tmp_path):
 def test_a_key_by_hand():
     written = b'{"a":{"b":[2,null],"c":0.1},"z":"\\u00e4"}'
     identity = {"z": "ä", "a": {"c": 0.1, "b": [2, None]}}
-    assert cell_store.key(identity) == hashlib.sha256(written).hexdigest()
+    assert cell_file.key(identity) == hashlib.sha256(written).hexdigest()
 
 
 def _shuffled(value: Any, random) -> Any:
@@ -193,21 +194,21 @@ def _shuffled(value: Any, random) -> Any:
 
 @given(ABOUTS, st.randoms(use_true_random=False))
 def test_a_key_is_not_of_an_order(identity, random):
-    key = cell_store.key(identity)
-    assert cell_store.key(_shuffled(identity, random)) == key and cell_store.is_key(key)
-    assert cell_store.key(json.loads(json.dumps(identity))) == key
-    assert cell_store.key(identity | {"one more": 1}) != key
+    key = cell_file.key(identity)
+    assert cell_file.key(_shuffled(identity, random)) == key and cell_file.is_key(key)
+    assert cell_file.key(json.loads(json.dumps(identity))) == key
+    assert cell_file.key(identity | {"one more": 1}) != key
 
 
 def test_another_value_is_another_key():
     changes = ({"format": 4}, {"scenes": 0}, {"fleet": {"policy": "pgf", "robots": 4}}, {"x": None})
-    keys = {cell_store.key(IDENTITY | change) for change in ({}, *changes)}
+    keys = {cell_file.key(IDENTITY | change) for change in ({}, *changes)}
     assert len(keys) == len(changes) + 1
 
 
 @pytest.mark.parametrize("name", ["", "a" * 63, "a" * 65, "A" * 64, "g" * 64, "a" * 64 + "\n"])
 def test_what_is_no_key(name):
-    assert not cell_store.is_key(name) and cell_store.is_key("0f" * 32)
+    assert not cell_file.is_key(name) and cell_file.is_key("0f" * 32)
 
 
 # -- what is refused -----------------------------------------------------------------------------
@@ -232,15 +233,15 @@ def test_a_byte_is_enough(written):
     file.write_bytes(whole + b"\0")
     refused(file, "truncated or edited")
     file.write_bytes(whole)
-    same(cell_store.read(file), expected)
+    same(cell_file.read(file), expected)
 
 
 def test_a_cell_under_another_name_is_refused(written):
     file, _ = written
-    other = cell_store.path(file.parent.parent, "0" * 64)
+    other = cell_file.path(file.parent.parent, "0" * 64)
     file.rename(other)
     refused(other, f"edited, or of another name: by what it says it is {file.stem}")
-    cell_store.sidecar(file).rename(cell_store.sidecar(other))
+    cell_file.sidecar(file).rename(cell_file.sidecar(other))
     refused(other, f"edited, or of another name: by what it says it is {file.stem}")
 
 
@@ -254,7 +255,7 @@ def test_an_edited_identity_is_refused_whoever_signed_it(written):
 @pytest.mark.parametrize("text", ["", "{", '{"sha256": ', "\xff\xfe", "[1]"])
 def test_a_corrupt_account_is_named(written, text):
     file, _ = written
-    beside = cell_store.sidecar(file)
+    beside = cell_file.sidecar(file)
     beside.write_bytes(text.encode("latin-1"))
     expected = "expected a JSON object" if text == "[1]" else "truncated or corrupt, not JSON"
     refused(file, expected, beside)
@@ -263,17 +264,17 @@ def test_a_corrupt_account_is_named(written, text):
 @pytest.mark.parametrize("record", [{}, {"sha256": None}, {"sha256": ["x"]}, {"sha256": {}}])
 def test_an_account_without_the_digest_vouches_for_nothing(written, record):
     file, _ = written
-    cell_store.sidecar(file).write_text(json.dumps(record))
+    cell_file.sidecar(file).write_text(json.dumps(record))
     refused(file, "truncated or edited")
 
 
 def test_a_file_alone_will_do_if_it_is_whole(written):
     """What varies from run to run may have been left behind; what is known of it then is less."""
     file, whole = written
-    assert cell_store.inputs(file) == cell_store.read_account(file).get("inputs", {})
-    cell_store.sidecar(file).unlink()
-    same(cell_store.read(file), whole)
-    assert cell_store.inputs(file) == {}
+    assert cell_file.inputs(file) == cell_file.read_account(file).get("inputs", {})
+    cell_file.sidecar(file).unlink()
+    same(cell_file.read(file), whole)
+    assert cell_file.inputs(file) == {}
     data = file.read_bytes()
     file.write_bytes(data[:-9])
     refused(file, "truncated or corrupt, not a readable Parquet file")
@@ -340,34 +341,34 @@ def test_an_older_cell_is_replaced_or_gone(written, monkeypatch, killed_at):
 
     new = content(seed=5)
     with monkeypatch.context() as patch:
-        patch.setattr(cell_store, "write_atomically", killed)
+        patch.setattr(cell_file, "write_atomically", killed)
         with pytest.raises(KeyboardInterrupt):
-            cell_store.write(file, new.data(), {"attempt": 2})
-    assert cell_store.finished(file.parent.parent) == set()
-    cell_store.write(file, new.data(), {"attempt": 3})
-    same(cell_store.read(file), new)
-    assert cell_store.read_account(file)["attempt"] == 3
-    assert cell_store.finished(file.parent.parent) == {file.stem}
+            cell_file.write(file, new.data(), {"attempt": 2})
+    assert cell_file.finished(file.parent.parent) == set()
+    cell_file.write(file, new.data(), {"attempt": 3})
+    same(cell_file.read(file), new)
+    assert cell_file.read_account(file)["attempt"] == 3
+    assert cell_file.finished(file.parent.parent) == {file.stem}
 
 
 def test_what_cannot_be_written_is_named(tmp_path):
     (tmp_path / "cells").write_text("a file")
-    file = cell_store.path(tmp_path, "0" * 64)
+    file = cell_file.path(tmp_path, "0" * 64)
     with pytest.raises(BadInput, match=f"{file}: cannot be replaced"):
-        cell_store.write(file, b"x", {})
-    file = cell_store.path(tmp_path / "other", "0" * 64)
+        cell_file.write(file, b"x", {})
+    file = cell_file.path(tmp_path / "other", "0" * 64)
     file.mkdir(parents=True)
     with pytest.raises(BadInput, match=f"{file}: cannot be replaced"):
-        cell_store.write(file, b"x", {})
+        cell_file.write(file, b"x", {})
 
 
 def test_finished_cells_are_files_with_keys(written, tmp_path):
     file, _ = written
     for name in ("x.parquet", f".{file.stem}.parquet", f"{'1' * 64}.json", f"{'2' * 64}.tmp"):
         (file.parent / name).write_text("")
-    cell_store.path(tmp_path, "3" * 64).mkdir()
-    assert cell_store.finished(tmp_path) == {file.stem}
-    assert cell_store.finished(tmp_path / "nowhere") == set()
+    cell_file.path(tmp_path, "3" * 64).mkdir()
+    assert cell_file.finished(tmp_path) == {file.stem}
+    assert cell_file.finished(tmp_path / "nowhere") == set()
 
 
 # -- one writer ----------------------------------------------------------------------------------
@@ -376,9 +377,9 @@ HOLD = """
 import sys
 from pathlib import Path
 from pgf_jax.errors import BadInput
-from pgf_jax.study import cells
+from pgf_jax.sweeping.cell_store import only_writer
 try:
-    with cells.only_writer(Path(sys.argv[1])):
+    with only_writer(Path(sys.argv[1])):
         print("in", flush=True)
         sys.stdin.read()
     print("out")
@@ -411,16 +412,16 @@ def test_two_processes_cannot_write_one_folder(tmp_path):
     out, message = tmp_path / "out", f"out: {tmp_path / 'out'} is in use by another sweep"
     other = holder(out)
     assert first_line(other) == "in"
-    with pytest.raises(BadInput) as caught, cell_store.only_writer(out):
+    with pytest.raises(BadInput) as caught, only_writer(out):
         pass
     assert str(caught.value) == message
-    with cell_store.only_writer(tmp_path / "another"):
+    with only_writer(tmp_path / "another"):
         pass
     assert lines_of(other) == ["out"]
     for _ in range(2):
-        with cell_store.only_writer(out):
+        with only_writer(out):
             assert lines_of(holder(out)) == [message]
-    with pytest.raises(ZeroDivisionError), cell_store.only_writer(out):
+    with pytest.raises(ZeroDivisionError), only_writer(out):
         raise ZeroDivisionError
     assert lines_of(holder(out)) == ["in", "out"]
 
@@ -434,12 +435,12 @@ def test_who_was_killed_holds_nothing_and_leaves_nothing(tmp_path):
     own = [folder / f"{'0' * 64}.json", out / "notes.tmp", out / ".notes", folder / "x.tmp"]
     for path in (*half, *own):
         path.write_text("x")
-    with pytest.raises(BadInput), cell_store.only_writer(out):
+    with pytest.raises(BadInput), only_writer(out):
         pass
     assert all(path.exists() for path in half)  # somebody's, as long as somebody is there
     other.kill()
     other.communicate(timeout=60)
-    with cell_store.only_writer(out):
+    with only_writer(out):
         assert {path for path in out.rglob("*") if path.is_file()} == set(own)
 
 
@@ -448,9 +449,6 @@ def test_a_folder_that_cannot_be_made(tmp_path):
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
         with (
             pytest.raises(BadInput, match=f"out: {out} cannot be made"),
-            cell_store.only_writer(out),
+            only_writer(out),
         ):
             pass
-
-
-# -- words ---------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""A batch in a worker: what it writes and what it brings home, when it stops, what it refuses."""
+"""A batch in a worker: what it writes and what it returns, when it stops, what it refuses."""
 
 import dataclasses
 import os
@@ -17,12 +17,9 @@ from sweep_toys import ghost, tree
 from pgf_jax import provenance
 from pgf_jax.cores import usable
 from pgf_jax.errors import BadInput
-from pgf_jax.parallel.local import LocalPool, WorkerDied
-from pgf_jax.parallel.processes import Stopped
-from pgf_jax.sweeping import cell_store
-from pgf_jax.sweeping.cell_store import keys_of
-from pgf_jax.sweeping.resolve import prepare
-from pgf_jax.sweeping.run_cells import Job
+from pgf_jax.parallel.local import LocalPool, Stopped, WorkerDied
+from pgf_jax.sweeping import cell_file
+from pgf_jax.sweeping.resolve import resolve
 from pgf_jax.sweeping.sweep import sweep
 from pgf_jax.sweeping.worker import Batch, open_session, read_progress, run_batch
 
@@ -33,10 +30,7 @@ def whole(tmp_path_factory):
 
 
 def batch_of(out: Path, **changes) -> Batch:
-    setup = prepare(ghost(out))
-    keys = keys_of(setup)
-    jobs = tuple(Job(0, cell) for cell in keys)
-    batch = Batch(0, "s", {0: setup}, jobs, tuple(keys.values()), provenance.kind())
+    batch = Batch(0, "s", resolve(ghost(out)).cells, provenance.kind())
     return dataclasses.replace(batch, **changes)
 
 
@@ -52,50 +46,49 @@ def test_where_the_session_is_seen_cells_are_written(whole, tmp_path):
     batch = pickle.loads(pickle.dumps(batch_of(tmp_path)))  # as a worker gets it
     with begun(tmp_path):
         result = run_batch(batch)
-        assert result.handed == () and result.effort.iterations > 0
+        assert result.returned == () and result.stats.iterations > 0
         assert set(read_progress(batch).finished) == {0, 1, 2, 3}
-        assert all(batch.is_finished(job) for job in batch.jobs)
+        assert all(batch.is_finished(cell) for cell in batch.cells)
     files = {path.name: path.read_bytes() for path in whole.files.values()}
     found = tree(tmp_path / "cells")
     assert {name: data for name, data in found.items() if name.endswith(".parquet")} == files
     assert len(found) == 8  # the session has left nothing
 
 
-def test_elsewhere_they_are_brought_home(whole, tmp_path):
+def test_elsewhere_they_are_returned(whole, tmp_path):
     result = run_batch(batch_of(tmp_path / "not here"))
     assert not (tmp_path / "not here").exists()
     files = {path.stem: path.read_bytes() for path in whole.files.values()}
     batch = batch_of(tmp_path / "home")
-    for handed in pickle.loads(pickle.dumps(result.handed)):
-        cell_store.write(batch.file(handed.job), handed.data, handed.account)
+    for index, data, account in pickle.loads(pickle.dumps(result.returned)):
+        cell_file.write(batch.cells[index].path, data, account)
     assert {
-        key: cell_store.path(tmp_path / "home", key).read_bytes() for key in batch.keys
+        cell.key: cell_file.path(tmp_path / "home", cell.key).read_bytes() for cell in batch.cells
     } == files
-    assert all(batch.is_finished(job) for job in batch.jobs)
+    assert all(batch.is_finished(cell) for cell in batch.cells)
 
 
 def test_a_batch_that_is_sent_twice_is_computed_once(whole, tmp_path):
     """As Dask does when a worker dies."""
     batch = batch_of(tmp_path)
     with begun(tmp_path):
-        file = batch.file(batch.jobs[1])
-        for path in (whole.files[batch.jobs[1].cell], whole.files[batch.jobs[2].cell]):
+        _, first, second, _ = batch.cells
+        file = first.path
+        for path in (whole.files[first.cell], whole.files[second.cell]):
             shutil.copy(path, tmp_path / "cells")
         account = {"session": "s"}
-        cell_store.write(file, file.read_bytes(), account)
-        cell_store.write(batch.file(batch.jobs[2]), b"of an earlier session", {"session": "r"})
+        cell_file.write(file, file.read_bytes(), account)
+        cell_file.write(second.path, b"of an earlier session", {"session": "r"})
         before = file.stat().st_ino
         run_batch(batch)
         assert file.stat().st_ino == before
-        assert batch.file(batch.jobs[2]).read_bytes() == (
-            whole.files[batch.jobs[2].cell].read_bytes()
-        )
+        assert second.path.read_bytes() == whole.files[second.cell].read_bytes()
 
 
 def test_the_end_of_the_session_stops_it(tmp_path, monkeypatch):
     from pgf_jax.sweeping import worker as module
 
-    monkeypatch.setattr(module, "SAY_EVERY_S", 0.0)
+    monkeypatch.setattr(module, "REPORT_EVERY_S", 0.0)
     batch = batch_of(tmp_path)
     with begun(tmp_path) as end:
         running = module.run_cells
@@ -112,10 +105,9 @@ def test_the_end_of_the_session_stops_it(tmp_path, monkeypatch):
 def test_a_rest_is_what_is_not_finished(tmp_path):
     batch = batch_of(tmp_path)
     assert batch.rest(3).attempt == 2 and batch.rest(3).number == 3  # nothing was finished
-    cell_store.write(batch.file(batch.jobs[2]), b"x", {"session": "s"})
+    cell_file.write(batch.cells[2].path, b"x", {"session": "s"})
     rest = batch.rest(4)
-    assert rest.attempt == 1 and rest.jobs == (*batch.jobs[:2], batch.jobs[3])
-    assert [rest.file(job) for job in rest.jobs] == [batch.file(job) for job in rest.jobs]
+    assert rest.attempt == 1 and rest.cells == (*batch.cells[:2], batch.cells[3])
 
 
 @pytest.mark.parametrize(
