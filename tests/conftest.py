@@ -26,3 +26,34 @@ def mjx_engine():
     from pgf_jax.physics.engine import make_engine
 
     return make_engine("mjx", lanes=2)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread_each():
+    """Beside other workers of pytest, C MuJoCo has one thread: two would wait for each other."""
+    if int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) == 1:
+        yield
+        return
+    from pgf_jax.physics import native
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(native, "usable", lambda: [0])
+        yield
+
+
+@pytest.fixture(scope="module")
+def remembered_rollouts():
+    """In a module that uses it, each rollout of C MuJoCo is computed once: see `remembered.py`."""
+    from remembered import remembered_rollouts
+
+    with remembered_rollouts():
+        yield
+
+
+@pytest.fixture
+def computed_rollouts():
+    """In a test that uses it all the same, all are computed."""
+    from remembered import computed_rollouts
+
+    with computed_rollouts():
+        yield

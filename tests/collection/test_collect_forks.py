@@ -29,6 +29,8 @@ from pgf_jax.scene import sample_scene
 from pgf_jax.tables.forks import read_forks
 from pgf_jax.tables.runs import Mode, read_runs, runs_path
 
+pytestmark = pytest.mark.usefixtures("remembered_rollouts")
+
 KEYS, SCENES, SHORT = 2, 4, 3
 
 

@@ -20,6 +20,8 @@ from pgf_jax.scene import sample_scene
 from pgf_jax.tables.runs import Mode, read_runs, runs_path
 from pgf_jax.training.rows import human_rows
 
+pytestmark = pytest.mark.usefixtures("remembered_rollouts")
+
 LIMIT = 20.0  # s: the nominal and six iterations
 
 

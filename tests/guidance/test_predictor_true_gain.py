@@ -12,6 +12,8 @@ from pgf_jax.guidance.view import View
 from pgf_jax.planning.planner import start_world
 from pgf_jax.scene import sample_scene
 
+pytestmark = pytest.mark.usefixtures("remembered_rollouts")
+
 LOOK_AHEAD = 10  # reach iterations
 PUSHED = 1 + PUSH_ITERATIONS  # of a push that is not found, and then dropped
 

@@ -38,6 +38,8 @@ from pgf_jax.scene import sample_scene
 from pgf_jax.simulation.loop import run_fleets
 from pgf_jax.simulation.single_robot import single_robot
 
+pytestmark = pytest.mark.usefixtures("remembered_rollouts")
+
 
 def cost(search) -> float:
     return float(np.sum(search.value.terms[:3]))
@@ -237,7 +239,7 @@ def alone():
 
 
 @pytest.mark.parametrize("lanes", [1, 3, 4])
-def test_trials_do_not_depend_on_their_company(alone, lanes):
+def test_trials_do_not_depend_on_their_company(alone, computed_rollouts, lanes):
     """Bit for bit: side by side, backwards, or as coroutines of one scheduler."""
     planner_service = native(lanes)
     assert run(gather(several(planner_service.planner)), planner_service) == alone

@@ -23,6 +23,8 @@ from pgf_jax.plans.file import Plan, load_plan, save_plan
 from pgf_jax.plans.plan import plan, plan_scenes, seed_of
 from pgf_jax.scene import Scene, load_scene, sample_scene
 
+pytestmark = pytest.mark.usefixtures("remembered_rollouts")
+
 NATIVE = PlanConfig(engine="native")
 
 
@@ -78,7 +80,7 @@ def test_another_key_gives_another_plan(wide):
 
 
 @pytest.mark.parametrize("lanes", [1, 2])
-def test_a_plan_does_not_depend_on_its_batch(wide, lanes):
+def test_a_plan_does_not_depend_on_its_batch(computed_rollouts, wide, lanes):
     config = dataclasses.replace(NATIVE, lanes=lanes)
     scenes = [sample_scene(1, "wide"), sample_scene(0, "wide"), sample_scene(2, "wide")]
     batch = plan(0, scenes, config)
