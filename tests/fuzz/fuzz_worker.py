@@ -94,6 +94,7 @@ def _work(theirs: Connection, items: list[Item], folder: Path, errors: Path) -> 
 
     warnings.simplefilter("error")  # a warning is a line that nobody asked for
     fuzz_cases.fewer_resamples()
+    fuzz_cases.once_for_good_files()
     for name in {name for name, _ in items}:  # what is imported late is no file's fault
         _outcome(fuzz_cases, (name, -1), folder)
     _limit()
