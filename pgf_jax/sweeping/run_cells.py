@@ -106,7 +106,9 @@ def _run_alike(
             raise Stopped
 
     iterations = 0
-    for fleet, robots, cell in run_fleets([*running.values()], service, on_batch=after_batch):
+    # An iterator, which forgets them: fleets that have ended are freed.
+    fleets = iter([*running.values()])
+    for fleet, robots, cell in run_fleets(fleets, service, on_batch=after_batch):
         tasks = tasks_frame(fleet.records, cell.fleet.scenes.name)
         listener.finished(cell, Content(tasks, events_frame(fleet.events), cell.about()))
         iterations += robots.iterations
