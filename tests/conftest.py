@@ -6,7 +6,11 @@ import pytest
 # Before anything imports jax, and as environment, so that processes which tests start use it too.
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "pgf_jax" / "tests"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+# Workers of pytest that share a machine; one alone has all of it.
+SEVERAL = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) > 1
+if SEVERAL:
+    os.environ.setdefault("NPROC", "1")  # XLA's threads, as `pgf-jax` sets it
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -31,7 +35,7 @@ def mjx_engine():
 @pytest.fixture(scope="session", autouse=True)
 def one_thread_each():
     """Beside other workers of pytest, C MuJoCo has one thread: two would wait for each other."""
-    if int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) == 1:
+    if not SEVERAL:
         yield
         return
     from pgf_jax.physics import native
