@@ -5,6 +5,7 @@ of a sweep.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from statistics import NormalDist
@@ -281,6 +282,7 @@ def rate_interval(successes: int, n: int, *, confidence: float = 0.95) -> Interv
     return Interval(rate, low, high, n)
 
 
+@functools.cache
 def t_quantile(probability: float, dof: int) -> float:
     """Quantile of Student's t for a probability in [0.5, 1) and a whole number of dof >= 1.
 

@@ -22,7 +22,7 @@ import polars as pl
 from pgf_jax.collection import dataset
 from pgf_jax.errors import BadInput
 from pgf_jax.files import json_bytes, read_json, sha256
-from pgf_jax.fleet import Event, EventKind, metrics
+from pgf_jax.fleet import Event, EventKind
 from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.guidance.predictors import checkpoint
@@ -598,4 +598,3 @@ def once_for_good_files() -> None:
         return of_good(data) if data in good else decode(data, file)
 
     cell_file.decode = decode_unless_known
-    metrics.t_quantile = functools.cache(metrics.t_quantile)

@@ -177,7 +177,7 @@ def test_whoever_stops_has_what_is_finished(toys, alone, tmp_path):
         assert found.data() == alone["plain"].files[spec.cell].read_bytes()
 
 
-def test_native_physics_and_an_operator_who_imagines(tmp_path, predictors, remembered_rollouts):
+def test_native_physics_and_an_operator_who_imagines(tmp_path, predictors):
     """Cell by cell against all in one run."""
 
     def small(out, *policies, **changes) -> SweepConfig:
