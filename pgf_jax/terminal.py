@@ -1,4 +1,4 @@
-"""What commands show: progress, as bars or now and then a line; and tables."""
+"""Shows progress, as bars or as a line from time to time, and tables."""
 
 import sys
 import time
@@ -18,11 +18,11 @@ from rich.progress import (
 from rich.progress import Progress as Bars
 from rich.table import Table
 
-DRAW_EVERY_S = 0.1  # more often nobody sees
+DRAW_EVERY_S = 0.1  # s between two drawings of the bars
 
 
 class Progress:
-    """Shows on stderr how much is done: as bars on a terminal, elsewhere as a line now and then.
+    """Shows on stderr how much is done: as bars on a terminal, elsewhere as a line from time to time.
 
     Use it as a context. Bars that are not kept are gone afterwards, so that an error is the only
     line left on stderr.

@@ -138,7 +138,7 @@ class _Teller:
 class _Dispatcher:
     def __init__(self, executor: Executor, listener: SweepListener) -> None:
         self._executor, self._listener = executor, listener
-        # Workers that nobody has given cores find themselves some.
+        # Workers without cores of their own have to claim some.
         self._claim = getattr(executor, "claim", False)
         self._teller = _Teller(listener)
         self._pending: dict[Future[BatchResult], Batch] = {}
