@@ -22,7 +22,7 @@ DRAW_EVERY_S = 0.1  # s between two drawings of the bars
 
 
 class Progress:
-    """Shows on stderr how much is done: as bars on a terminal, elsewhere as a line from time to time.
+    """Shows progress on stderr: as bars on a terminal, elsewhere as a line from time to time.
 
     Use it as a context. Bars that are not kept are gone afterwards, so that an error is the only
     line left on stderr.

@@ -5,7 +5,6 @@ says what has happened. So a task is repeated alone, in one call for each iterat
 with the log. Where results depend on the processor, a task that goes another way is refused.
 """
 
-import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -152,7 +151,7 @@ class _RepeatedTask:
         outcome = "feasible" if result.feasible else "stuck" if result.stuck else None
         self._check("outcome", event.outcome, outcome)
         if self._gains:
-            self._check("gain", _known(event.gain), _known(result.gain))
+            self._check("gain", results.nan_to_null(event.gain), results.nan_to_null(result.gain))
         self._iterations += 1
 
     def _give(self, event: Event) -> None:
@@ -182,10 +181,6 @@ class _RepeatedTask:
             f"robot {self._robot}, task {self._task}, after {self._iterations} iterations: {what}; "
             "expected the log of the fleet"
         )
-
-
-def _known(gain: float | None) -> float | None:
-    return None if gain is None or math.isnan(gain) else gain
 
 
 def find_and_reproduce(config: ReproduceConfig) -> Reproduction:

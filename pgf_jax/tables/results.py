@@ -86,9 +86,9 @@ def tasks_frame(
     for record in sorted(records, key=lambda r: (r.robot, r.task)):
         row = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
         row |= dict(zip(_TERMS, row.pop("terms"), strict=True))
-        row |= {name: _null(row[name]) for name in ("cost", *_TERMS)}
+        row |= {name: nan_to_null(row[name]) for name in ("cost", *_TERMS)}
         row |= {name: list(row[name]) for name in _COUNTS}
-        row |= {name: list(map(_null, row[name])) for name in _COSTS}
+        row |= {name: list(map(nan_to_null, row[name])) for name in _COSTS}
         rows.append(row | {"status": record.status.value, "scene": scene_name(*_key(record))})
     return pl.DataFrame(rows, schema=TASK_SCHEMA)
 
@@ -110,7 +110,14 @@ def task_records(tasks: pl.DataFrame) -> list[TaskRecord]:
 def events_frame(events: Iterable[Event]) -> pl.DataFrame:
     """Make a table of an event log, in its order; a gain that is not known yet (nan) is null."""
     rows = [
-        (*event[:1], event.kind.value, *event[2:7], _null(event.gain), *event[8:11], _text(event))
+        (
+            *event[:1],
+            event.kind.value,
+            *event[2:7],
+            nan_to_null(event.gain),
+            *event[8:11],
+            _text(event),
+        )
         for event in events
     ]
     return pl.DataFrame(rows, schema=EVENT_SCHEMA, orient="row")
@@ -138,7 +145,8 @@ def _key(record: TaskRecord) -> tuple[int, int]:
     return record.robot, record.task
 
 
-def _null(value: float | None) -> float | None:
+def nan_to_null(value: float | None) -> float | None:
+    """None in place of nan: a table has no value where nothing is known."""
     return None if value is None or math.isnan(value) else value
 
 
