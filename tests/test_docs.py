@@ -106,7 +106,6 @@ def test_the_first_readme_is_short():
 
 @pytest.mark.parametrize("name", READMES)
 def test_links_lead_somewhere(name):
-    headings = {}
     for target in re.findall(r"\]\(([^)\s]+)\)", text(name)):
         if target.startswith(("http://", "https://")):
             continue

@@ -6,7 +6,6 @@ from pgf_jax.guidance.view import View
 from pgf_jax.physics import hand
 from pgf_jax.scene.scene import BACK_WALL_X, SIDE_WALL_Y
 
-CORRIDOR = 0.065  # m, half-width of the straight corridor from the hand to the goal
 _FRONT = hand.capsule_segments(0.0).max((1, 2)) > 0.12  # not the base and the wrist
 _FRONT_RADII = hand.RADII[_FRONT]
 OPEN = hand.capsule_segments(0.0)[_FRONT]  # [C, 2, 2] axes of the open hand ahead of the wrist

@@ -18,7 +18,6 @@ import numpy as np
 from pgf_jax.batching.requests import Coroutine, gather, robot_key_path
 from pgf_jax.guidance.geometry import (
     CLOSED,
-    CORRIDOR,
     OPEN,
     culprits,
     into_walls,
@@ -32,6 +31,7 @@ from pgf_jax.planning.nominal import PUSH_BEHIND, PUSH_SHORT, REACH_SHORT
 from pgf_jax.planning.planner import RETREAT_M, BatchPlanner, Search
 from pgf_jax.planning.types import Push
 from pgf_jax.scene.scene import BACK_WALL_X, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene.statistics import CORRIDOR_HALF_WIDTH
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,7 +182,9 @@ class HeuristicOperator:
         aside = np.abs(rel[..., 1] * line[:, None, 0] - rel[..., 0] * line[:, None, 1])
         inside = (forward > 0) & (forward < length[:, None] + 0.02)
         # An object in the middle blocks; one at the corridor's edge is brushed aside.
-        blockers = np.clip((CORRIDOR + RADIUS - aside) / CORRIDOR, 0, 1) * inside
+        blockers = (
+            np.clip((CORRIDOR_HALF_WIDTH + RADIUS - aside) / CORRIDOR_HALF_WIDTH, 0, 1) * inside
+        )
         blockers[:, view.goal] = 0
         blockers = blockers * (1 + culprits(view))
         # The reach nominal turns by half the goal's angle as seen from the base (`nominal.reach`).

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgf_jax.guidance.geometry import CORRIDOR, culprits, end_effector, wrap
+from pgf_jax.guidance.geometry import culprits, end_effector, wrap
 from pgf_jax.guidance.view import View
 from pgf_jax.physics import hand
 from pgf_jax.scene.scene import BACK_WALL_X, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene.statistics import CORRIDOR_HALF_WIDTH
 
 if TYPE_CHECKING:  # the planner needs JAX, and modules that only read or write tables do not
     from pgf_jax.planning.planner import Search
@@ -107,7 +108,7 @@ def state_features(search: "Search") -> np.ndarray:
     rel = view.objects - ee
     along, aside = rel @ line, rel[:, 0] * line[1] - rel[:, 1] * line[0]
     other = np.arange(n) != goal
-    inside = (along > 0) & (along < length - 0.01) & (np.abs(aside) < CORRIDOR) & other
+    inside = (along > 0) & (along < length - 0.01) & (np.abs(aside) < CORRIDOR_HALF_WIDTH) & other
     base = goal_xy - view.hand[:2]
     turn = 0.5 * wrap(np.arctan2(base[1], base[0]) - pointing)
     near_side = 1.0 if goal_xy[1] >= 0 else -1.0
