@@ -21,6 +21,7 @@ from tyro import _errors as tyro_errors
 from tyro.constructors import ConstructorRegistry, PrimitiveTypeInfo
 
 from pgf_jax.errors import BadInput
+from pgf_jax.settings import CommandLine
 
 
 def parse(config: type, arguments: Sequence[str], prog: str) -> Any:
@@ -161,6 +162,7 @@ def _options(config: type) -> dict[str, tuple[str, Any, Any]]:
 def _shown(hint: Any) -> Any:
     """The type of an option, shown as `INT` or `INT ...` instead of `{None}|{[INT [INT ...]]}`."""
     bare, *own = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint,)
+    bare = next((one.hint for one in own if isinstance(one, CommandLine)), bare)
     kind = bare
     if typing.get_origin(kind) in (typing.Union, types.UnionType):  # X | None
         (kind,) = (one for one in typing.get_args(kind) if one is not types.NoneType)

@@ -74,6 +74,17 @@ def _digits(number: float) -> str:
     return str(number) if isinstance(number, int) else f"{number:g}"
 
 
+@dataclasses.dataclass(frozen=True)
+class CommandLine:
+    """The type of a setting on the command line, where in Python it can be more.
+
+    Attributes:
+      hint: the type.
+    """
+
+    hint: Any
+
+
 Count = Annotated[int, Bounds(1)]  # how many: of robots, tasks, processes ...
 Index = Annotated[int, Bounds(0)]  # which one, counted from 0
 Seed = Annotated[int, Bounds(0, MAX_SEED)]
@@ -123,9 +134,12 @@ def _taken(name: str, value: Any, hint: Any, bounds: Bounds | None = None) -> An
     if origin is Annotated:
         bounds = next((one for one in inner[1:] if isinstance(one, Bounds)), bounds)
         return _taken(name, value, inner[0], bounds)
-    if origin in (typing.Union, types.UnionType):  # X | None
-        (kind,) = (one for one in inner if one is not types.NoneType)
-        return None if value is None else _taken(name, value, kind, bounds)
+    if origin in (typing.Union, types.UnionType):  # X | None, or X | tuple[Y, ...] | None
+        kinds = [one for one in inner if one is not types.NoneType]
+        if len(kinds) > 1:
+            lists = isinstance(value, list | tuple)
+            kinds = [one for one in kinds if (typing.get_origin(one) is tuple) == lists]
+        return None if value is None else _taken(name, value, kinds[0], bounds)
     if origin is Literal:
         if not isinstance(value, str) or value not in inner:
             raise _wrong(name, f"one of {', '.join(inner)}", value)

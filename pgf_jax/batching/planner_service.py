@@ -7,7 +7,7 @@ shares its call.
 import copy
 import functools
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -16,9 +16,9 @@ import numpy as np
 
 from pgf_jax.batching.requests import PredictGain, Request, Retreat, Step, robot_key_path
 from pgf_jax.physics.config import PHYSICS
-from pgf_jax.physics.engine import Engine, make_engine
-from pgf_jax.planning.config import Cost, Planning
+from pgf_jax.physics.engine import ENGINES, Engine, make_engine
 from pgf_jax.planning.config import Planner as PlannerConfig
+from pgf_jax.planning.config import Planning, planner_of
 from pgf_jax.planning.planner import BatchPlanner, Rolled, Search
 
 
@@ -120,10 +120,9 @@ def warm_up(planner_service: PlannerService, search: Search, seed: int) -> float
 
 
 def planner_service_of(config: Planning, n_objects: int) -> PlannerService:
-    """The planner service for the engine, physics, cost, update and lanes of `config`."""
-    planner = PlannerConfig(update=config.update, cost=Cost(variant=config.cost))
+    """The planner service for the engine, physics, planner and lanes of `config`."""
     return make_planner_service(
-        config.engine, config.physics, planner, config.lanes or 1, n_objects
+        config.engine, config.physics, planner_of(config), config.lanes or 1, n_objects
     )
 
 
@@ -134,12 +133,17 @@ def make_planner_service(
 
     Its compiled programs are kept: a second service of the same settings traces nothing again.
     """
-    return copy.copy(_compiled(engine, physics, planner, lanes, n_objects))
+    return copy.copy(_compiled(engine, physics, planner, lanes, n_objects, ENGINES.make(engine)))
 
 
 @functools.lru_cache(maxsize=8)
 def _compiled(
-    engine: str, physics: str, planner: PlannerConfig, lanes: int, n_objects: int
+    engine: str,
+    physics: str,
+    planner: PlannerConfig,
+    lanes: int,
+    n_objects: int,
+    make: Callable[..., Engine],  # an engine that is registered again is another one
 ) -> PlannerService:
     return PlannerService(
         make_engine(engine, physics=PHYSICS[physics], n_objects=n_objects, lanes=lanes), planner

@@ -10,7 +10,18 @@ from pgf_jax.errors import BadInput
 from pgf_jax.guidance.operators.registry import check_operator
 from pgf_jax.physics.config import PhysicsName
 from pgf_jax.physics.engine import check_engine, default_lanes
-from pgf_jax.planning.config import CostVariant, TaskLimit, Update
+from pgf_jax.planning.config import (
+    PLANNER_OPTIONS,
+    SIGMA,
+    CostVariant,
+    NotNegative,
+    Positive,
+    Probability,
+    Sigma,
+    TaskLimit,
+    Update,
+    planner_of,
+)
 from pgf_jax.scene import PRESETS, SceneClass
 from pgf_jax.settings import MAX_SEED, Count, Index, Seed, check_fields, check_int
 
@@ -34,8 +45,18 @@ class CollectConfig:
       engine: physics engine: planar, mjx, native, or a registered one.
       physics: physics constants: default, or paper (its substep, and the authors' softness).
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
+      cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
+        in w_d=2000 feasible_cost=10; the names are the fields of Cost.
       update: how an iteration changes the best trajectory: greedy takes the cheapest rollout, as
         the paper does; stomp blends the noise of all rollouts by weight.
+      random_winner: probability that an iteration takes any of its noisy rollouts instead of the
+        cheapest one: an ablation of a fault in the published source. 0 is the paper's.
+      rollouts: K, noisy rollouts of an iteration.
+      sigma: standard deviations of the noise on the hand's velocity, m/s, m/s and rad/s.
+      stomp_h: sensitivity of the weights that update stomp gives to rollouts.
+      stuck_count: iterations with hardly any change after which a robot is stuck.
+      stuck_change: a change of the cost below this is hardly any.
+      stuck_excess: a winner whose cost is above the best one by more than this counts as no change.
       operator: who gives input in human runs and forks: heuristic, noisy, oracle, clairvoyant, or a
         registered one.
       lanes: L, robots computed in one call of the engine; results are bit-equal for equal L only.
@@ -73,10 +94,18 @@ class CollectConfig:
     workers: Count | None = None
     chunk: Count = 20
     resume: bool = False
+    random_winner: Probability = 0.0
+    rollouts: Count = 8
+    sigma: Sigma = SIGMA
+    stomp_h: Positive = 10.0
+    stuck_count: Count = 2
+    stuck_change: NotNegative = 50.0
+    stuck_excess: NotNegative = 1000.0
+    cost_weights: tuple[str, ...] = ()
 
     GROUPS = (  # of options, for the help
         ("scene", ("scenes", "classes", "seed", "log")),
-        ("planning", ("engine", "physics", "cost", "update", "lanes", "task_limit")),
+        ("planning", (*PLANNER_OPTIONS, "task_limit")),
         ("operator", ("operator", "ask_from", "ask_to", "keys")),
         ("computing", ("workers", "chunk")),
         ("output", ("out", "resume")),
@@ -93,6 +122,7 @@ class CollectConfig:
         if self.lanes is None:
             object.__setattr__(self, "lanes", default_lanes(self.engine))
         check_engine(self.engine)
+        planner_of(self)
         if self.mode != "autonomous":
             check_operator(self.operator)
             if self.operator == "none":

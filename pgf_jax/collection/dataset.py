@@ -40,6 +40,14 @@ _KEPT = (
     "ask_to",
     "keys",
 )
+# Settings that were added later, with the values that were built in before: data of those keep
+# their bytes, and may be continued.
+_LATER = {
+    field.name: field.default
+    for field in dataclasses.fields(CollectConfig)
+    if field.name in ("random_winner", "cost_weights", "rollouts", "sigma", "stomp_h")
+    or field.name.startswith("stuck_")
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,8 +74,7 @@ class Dataset:
         """
         assert config.scenes is not None
         _write_settings(config)
-        settings = {name: getattr(config, name) for name in _KEPT}
-        about = {"settings": settings, "versions": environment()["versions"]}
+        about = {"settings": _settings(config), "versions": environment()["versions"]}
         files = _files(config)
         _read_all(config, files)  # a broken one is named before anything is computed
         done = set().union(*map(_scenes_in, files))
@@ -102,6 +109,16 @@ class Dataset:
         return frame
 
 
+def _settings(config: CollectConfig) -> dict[str, Any]:
+    """The settings that decide on what runs hold."""
+    later = [name for name, default in _LATER.items() if getattr(config, name) != default]
+    return {name: getattr(config, name) for name in (*_KEPT, *later)}
+
+
+def _as_json(settings: Mapping[str, Any]) -> dict[str, Any]:
+    return json.loads(json.dumps(settings, default=str))
+
+
 def data_path(config: CollectConfig) -> Path:
     """The merged file of a collection."""
     return runs_path(config.out, Mode(config.mode))
@@ -119,18 +136,19 @@ def _write_settings(config: CollectConfig) -> None:
     found = existing(config)
     if found and not config.resume:
         raise BadInput(f"{found[0]}: exists; expected a new folder, or --resume to continue it")
-    wanted = json.loads(json.dumps(dataclasses.asdict(config), default=str))
+    wanted = _as_json(dataclasses.asdict(config))
+    defaults = _as_json({name: _LATER[name] for name in _LATER})
     if found:
         before = _read_settings(settings)
-        for name in _KEPT:
-            if before.get(name) != wanted[name]:
+        for name in (*_KEPT, *_LATER):
+            if before.get(name, defaults.get(name)) != wanted[name]:
                 raise BadInput(
-                    f"{settings}: runs were collected with {name} {before.get(name)!r}, "
-                    f"expected the same to resume, got {wanted[name]!r}"
+                    f"{name}: runs in {settings.parent} were collected with "
+                    f"{before.get(name)!r}, expected the same to resume, got {wanted[name]!r}"
                 )
         if wanted["scenes"] < before["scenes"]:
             raise BadInput(f"scenes: expected {before['scenes']} or more, got {wanted['scenes']}")
-    kept = {name: wanted[name] for name in (*_KEPT, "scenes")}
+    kept = _settings(config) | {"scenes": wanted["scenes"]}
     write_atomically(settings, json_bytes({**kept, **environment()}))
 
 

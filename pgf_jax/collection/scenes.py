@@ -11,6 +11,7 @@ from pgf_jax.collection.config import CollectConfig
 from pgf_jax.collection.dataset import Dataset
 from pgf_jax.collection.fork import fork
 from pgf_jax.errors import WorkersLost
+from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.policies import once_after
 from pgf_jax.guidance.operators.registry import make_operator
 from pgf_jax.parallel.local import LocalPool, Stopped, WorkerDied, report, stop_requested
@@ -108,16 +109,17 @@ def _runs(config: CollectConfig, numbers: Sequence[int]) -> Iterator[Ended]:
         for i in numbers:
             scene = scene_of(config, i)
             human = config.mode == "human"
-            yield single_robot(
-                planner_service,
-                scene,
-                config.seed + i,
-                operator=config.operator if human else "none",
+            fleet = FleetConfig(
+                tasks=1,
                 policy=once_after(ask_at(config, scene)) if human else "autonomous",
+                service_mean_s=0.0,
+                service_sd_s=0.0,
+                rollouts=config.rollouts,
                 task_limit_s=config.task_limit,
-                service_s=(0.0, 0.0),
-                label=i,
+                seed=config.seed + i,
             )
+            operator = config.operator if human else "none"
+            yield single_robot(planner_service, scene, fleet, operator=operator, label=i)
 
     # No more at a time than fit in a call, so that its lanes stay full to the end.
     done = run_fleets(fleets(), planner_service, at_once=config.lanes, on_batch=_check_stop)

@@ -6,10 +6,20 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pgf_jax.errors import BadInput
-from pgf_jax.fleet.config import ClockSeconds
+from pgf_jax.fleet.config import CLOCK_OPTIONS, ClockSeconds, Gain
 from pgf_jax.guidance.operators.registry import operator_names
 from pgf_jax.physics.config import PhysicsName
-from pgf_jax.planning.config import CostVariant, Probability, Update
+from pgf_jax.planning.config import (
+    PLANNER_OPTIONS,
+    SIGMA,
+    CostVariant,
+    NotNegative,
+    Positive,
+    Probability,
+    Sigma,
+    TaskLimit,
+    Update,
+)
 from pgf_jax.settings import Bounds, Count, Seconds, Seed, check_choice, check_fields
 from pgf_jax.sweeping.config import SampledClass, SweepConfig
 
@@ -45,6 +55,12 @@ class ConsoleConfig:
       service_mean: mean of a simulated operator's log-normal service time, s.
       service_sd: standard deviation of the service time, s; 0 makes it constant.
       window: T_window of Alg. 2, for which bids are collected, s.
+      bid_threshold: a predicted gain must exceed it to be bid; in units of cost.
+      task_limit: simulated time for planning, waiting and interaction in a task, s.
+      push_limit: simulated time for planning a push, s, and no more than is left of the task.
+      push_execution: simulated time of the execution of a push, s.
+      retreat: simulated time of the hand's retreat after a push, s.
+      reach_execution: simulated time of the execution of the reach, s.
       rollout_time: simulated time of one rollout, s; an iteration takes two.
       compute: dedicated (each robot has its own computer), or shared:C (all robots share a computer
         with C cores).
@@ -53,15 +69,23 @@ class ConsoleConfig:
         checkpoints, for the paper's pair of networks in it; or best:FOLDER.
       scene_class: class of the sampled scenes: tight, medium, wide, or all (the three in turn);
         None: tight.
-      scenes: folder of scene files (*.xml) from which the tasks are drawn; None: scenes are
-        sampled.
+      scenes: scenes from which the tasks are drawn: a folder of scene files (*.xml), or a file of
+        scenes (*.json). None: scenes are sampled.
       engine: physics engine: planar, mjx, native, or a registered one.
       physics: physics constants: default, or paper (its substep, and the authors' softness).
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
+      cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
+        in w_d=2000 feasible_cost=10; the names are the fields of Cost.
       update: how an iteration changes the best trajectory: greedy takes the cheapest rollout, as
         the paper does; stomp blends the noise of all rollouts by weight.
       random_winner: probability that an iteration takes any of its noisy rollouts instead of the
         cheapest one: an ablation of a fault in the published source. 0 is the paper's.
+      rollouts: K, noisy rollouts of an iteration.
+      sigma: standard deviations of the noise on the hand's velocity, m/s, m/s and rad/s.
+      stomp_h: sensitivity of the weights that update stomp gives to rollouts.
+      stuck_count: iterations with hardly any change after which a robot is stuck.
+      stuck_change: a change of the cost below this is hardly any.
+      stuck_excess: a winner whose cost is above the best one by more than this counts as no change.
       lanes: L, robots computed in one call of the engine; results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       out: folder of the session: its event log, written as it happens, and its tables at the end.
@@ -95,13 +119,26 @@ class ConsoleConfig:
     lanes: Count | None = None
     out: Path = Path("results/session")
     resume: bool = False
+    bid_threshold: Gain = 1.0
+    task_limit: TaskLimit = 180.0
+    push_limit: Seconds = 30.0
+    push_execution: Seconds = 3.0
+    retreat: Seconds = 1.0
+    reach_execution: Seconds = 3.0
+    rollouts: Count = 8
+    sigma: Sigma = SIGMA
+    stomp_h: Positive = 10.0
+    stuck_count: Count = 2
+    stuck_change: NotNegative = 50.0
+    stuck_excess: NotNegative = 1000.0
+    cost_weights: tuple[str, ...] = ()
 
     GROUPS = (  # of options, for the help
         ("fleet", ("robots", "policy", "tasks", "seed")),
         ("scene", ("scene_class", "scenes")),
-        ("planning", ("engine", "physics", "cost", "update", "random_winner", "lanes")),
+        ("planning", PLANNER_OPTIONS),
         ("operator", ("operator", "log", "patience", "predictor", "service_mean", "service_sd")),
-        ("clock", ("speed", "window", "rollout_time", "compute", "horizon")),
+        ("clock", ("speed", "window", "bid_threshold", *CLOCK_OPTIONS, "compute", "horizon")),
         ("server", ("host", "port")),
         ("output", ("out", "resume")),
     )

@@ -41,6 +41,7 @@ class LiveOperator:
     """
 
     name = LIVE
+    checked = True  # by the input panel
 
     def __init__(
         self, on_request: Callable[[InputRequest], None], recording: Recording | None

@@ -118,6 +118,10 @@ class BidWindow:
 
 def make_allocator(discipline: Discipline, *, seed: int, robots: int) -> Allocator:
     """A new allocator of the given discipline."""
-    if discipline is Discipline.WINDOW:
-        return BidWindow(seed=seed, robots=robots)
-    return FifoQueue() if discipline is Discipline.LINE else LossSystem()
+    match Discipline(discipline):
+        case Discipline.WINDOW:
+            return BidWindow(seed=seed, robots=robots)
+        case Discipline.LINE:
+            return FifoQueue()
+        case Discipline.REFUSE:
+            return LossSystem()

@@ -10,6 +10,12 @@ from pgf_jax.settings import Bounds, Count, Seconds, check_fields
 
 # The simulated clock counts whole nanoseconds: a rollout of 0 ns would never let it advance.
 ClockSeconds = Annotated[float, Bounds(1e-9, unit="seconds")]
+# Options of the commands that simulate a fleet, in their order in the help.
+CLOCK_OPTIONS = (
+    *("task_limit", "push_limit", "rollout_time"),
+    *("push_execution", "retreat", "reach_execution"),
+)
+Gain = Annotated[float, Bounds()]  # in units of cost
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +58,7 @@ class FleetConfig:
     rollouts: Count = 8
     compute: str = "dedicated"
     horizon_s: ClockSeconds | None = None
-    bid_threshold: Annotated[float, Bounds()] = 1.0
+    bid_threshold: Gain = 1.0
     task_limit_s: ClockSeconds = 180.0
     push_limit_s: Seconds = 30.0
     push_execution_s: Seconds = 3.0
@@ -72,19 +78,21 @@ class FleetConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """One fleet of a sweep: a policy and a fleet size; `summary.csv` has a row for each.
+    """One fleet of a sweep: a policy, a fleet size and a seed; `summary.csv` has a row for each.
 
     Attributes:
       policy: its name.
       robots: R.
       tasks: tasks of each robot.
+      seed: of scenes, planning noise, service times and ties.
     """
 
     policy: str
     robots: int
     tasks: int
+    seed: int = 0
 
     @property
     def name(self) -> str:
-        """Name of the cell's files."""
+        """Policy and size."""
         return f"{self.policy}_R{self.robots}"

@@ -3,17 +3,18 @@
 A policy has no state: its answers depend on its arguments alone, so that no result depends on the
 order in which fleets or batches are computed. To add a policy, register a factory:
 
-    register_policy("my-policy", lambda config: MyPolicy())
+    pgf_jax.register_policy("my-policy", lambda config: MyPolicy())
 """
 
 import dataclasses
 import enum
 import math
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.robots import IterationResult
+from pgf_jax.plugins.registry import Registry, caller
 
 
 class Discipline(enum.StrEnum):
@@ -190,41 +191,108 @@ class PolicySettings(Protocol):
 
 PolicyFactory = Callable[[PolicySettings], Policy]
 
-_POLICIES: dict[str, PolicyFactory] = {
-    "pgf": lambda config: BidGain(config.bid_threshold),
-    "or-hitl": lambda config: AskWhenStuck(Discipline.REFUSE),
-    "or-hitl-window": lambda config: AskWhenStuck(Discipline.WINDOW),
-    "always": lambda config: AskBeforePlanning(),
-    "autonomous": lambda config: NeverAsk(),
-    "random": lambda config: BidEqually(),
-    "queue": lambda config: AskWhenStuck(Discipline.LINE),
-    "oracle-gain": lambda config: BidGain(config.bid_threshold),
-    "classifier": lambda config: BidOnPredictedFailure(),
-}
+POLICIES: Registry[PolicyFactory] = Registry(
+    "policy",
+    {
+        "pgf": lambda config: BidGain(config.bid_threshold),
+        "or-hitl": lambda config: AskWhenStuck(Discipline.REFUSE),
+        "or-hitl-window": lambda config: AskWhenStuck(Discipline.WINDOW),
+        "always": lambda config: AskBeforePlanning(),
+        "autonomous": lambda config: NeverAsk(),
+        "random": lambda config: BidEqually(),
+        "queue": lambda config: AskWhenStuck(Discipline.LINE),
+        "oracle-gain": lambda config: BidGain(config.bid_threshold),
+        "classifier": lambda config: BidOnPredictedFailure(),
+    },
+)
 
 
-def policy_names() -> tuple[str, ...]:
+def policy_names() -> list[str]:
     """All registered names, the built-in ones first."""
-    return tuple(_POLICIES)
+    return POLICIES.names()
 
 
-def register_policy(name: str, factory: PolicyFactory) -> None:
-    """Add a policy under a new name; ValueError if the name is taken."""
-    if name in _POLICIES:
-        raise ValueError(f"policy {name!r} is registered already")
-    _POLICIES[name] = factory
+def register_policy(
+    name: str, factory: PolicyFactory, *, version: str | None = None, replace: bool = False
+) -> None:
+    """Register a policy under a name, by which settings ask for it.
+
+    Results are named by the source of the package that registers it, and by the settings of what
+    the factory returns (its attributes). So changed code computes its cells again.
+
+    Args:
+      name: of the policy.
+      factory: called with the fleet's settings; returns a `Policy`.
+      version: stands for the source where that cannot be seen; raise it when results change.
+      replace: take the place of the policy that has this name.
+
+    Raises:
+      BadInput: the name is taken; or neither a source nor a version is there.
+    """
+    POLICIES.register(name, factory, module=caller(), version=version, replace=replace)
 
 
-def check_policy(name: str) -> None:
-    """Raise BadInput unless `name` is registered."""
-    if name not in _POLICIES:
-        raise BadInput(f"policy: expected one of {', '.join(_POLICIES)}, got {name!r}")
+def check_policy(name: str, field: str = "policy") -> None:
+    """BadInput, with the name of a setting, unless a policy of that name is registered."""
+    POLICIES.check(name, field)
 
 
 def make_policy(config: PolicySettings) -> Policy:
-    """The policy that `config.policy` names; BadInput if there is none."""
-    check_policy(config.policy)
-    return _POLICIES[config.policy](config)
+    """The policy that `config.policy` names.
+
+    Raises:
+      BadInput: there is none, or what was registered is no policy.
+    """
+    policy = POLICIES.make(config.policy)(config)
+    return (
+        policy if POLICIES.plugin(config.policy) is None else CheckedPolicy(config.policy, policy)
+    )
+
+
+class CheckedPolicy:
+    """A policy of a plugin, whose answers are checked; what it gets wrong is one line.
+
+    Args:
+      name: of the policy.
+      policy: the plugin's.
+
+    Raises:
+      BadInput: it is no policy, or answers with something else than a number or None.
+    """
+
+    def __init__(self, name: str, policy: Any) -> None:
+        self.policy, self._words = policy, f"policy {name!r}"
+        for method in ("first_bid", "bid"):
+            if not callable(getattr(policy, method, None)):
+                raise BadInput(
+                    f"{self._words}: {short_repr(policy)} has no method {method}; derive it from "
+                    "PolicyBase"
+                )
+        given = getattr(policy, "discipline", None)
+        if given not in list(Discipline):
+            raise BadInput(
+                f"{self._words}: discipline: expected one of {', '.join(Discipline)}, got "
+                f"{short_repr(given)}"
+            )
+        self.discipline = Discipline(given)
+
+    def first_bid(self, progress: TaskProgress) -> float | None:
+        """See `Policy.first_bid`."""
+        return self._checked("first_bid", self.policy.first_bid(progress))
+
+    def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
+        """See `Policy.bid`."""
+        return self._checked("bid", self.policy.bid(result, progress))
+
+    def _checked(self, method: str, bid: Any) -> float | None:
+        if bid is None:
+            return None
+        # NumPy's and JAX's numbers are taken; a boolean is a mistake for None.
+        if not isinstance(bid, bool) and getattr(bid, "ndim", 0) == 0 and hasattr(bid, "__float__"):
+            number = float(bid)
+            if not math.isnan(number):
+                return number
+        raise BadInput(f"{self._words}: {method}: expected a number or None, got {short_repr(bid)}")
 
 
 def after(iterations: int) -> str:
@@ -252,6 +320,5 @@ def check_ask(text: str) -> int:
 
 
 def _registered(name: str, policy: Policy) -> str:
-    if name not in _POLICIES:
-        register_policy(name, lambda config: policy)
+    POLICIES.add_built_in(name, lambda config: policy)
     return name

@@ -3,14 +3,13 @@
 Axes: B rollouts, T knots, N objects, C contact slots.
 """
 
-import importlib
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 from pgf_jax import cores
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.physics.config import Physics
-from pgf_jax.settings import check_choice
+from pgf_jax.plugins.registry import Registry, caller
 
 Array = Any  # numpy or JAX array: engines take and return either
 
@@ -82,26 +81,44 @@ class Engine(Protocol):
         ...
 
 
-_ENGINES: dict[str, str | Callable[..., Engine]] = {
-    "mjx": "pgf_jax.physics.mjx:MjxEngine",
-    "native": "pgf_jax.physics.native:NativeEngine",
-    "planar": "pgf_jax.physics.planar.engine:PlanarEngine",
-}
+ENGINES: Registry[Callable[..., Engine]] = Registry(
+    "engine",
+    {
+        "mjx": "pgf_jax.physics.mjx:MjxEngine",
+        "native": "pgf_jax.physics.native:NativeEngine",
+        "planar": "pgf_jax.physics.planar.engine:PlanarEngine",
+    },
+)
 
 
-def register_engine(name: str, make: Callable[..., Engine]) -> None:
-    """Register `make(physics, n_objects, lanes=..., **options)` for `make_engine(name)`."""
-    _ENGINES[name] = make
+def register_engine(
+    name: str, make: Callable[..., Engine], *, version: str | None = None, replace: bool = False
+) -> None:
+    """Register an engine under a name, by which settings ask for it.
+
+    Results are named by the source of the package that registers it. So changed code computes its
+    cells again.
+
+    Args:
+      name: of the engine.
+      make: called as `make(physics, n_objects, lanes=..., **options)`; returns an `Engine`.
+      version: stands for the source where that cannot be seen; raise it when results change.
+      replace: take the place of the engine that has this name.
+
+    Raises:
+      BadInput: the name is taken; or neither a source nor a version is there.
+    """
+    ENGINES.register(name, make, module=caller(), version=version, replace=replace)
 
 
 def engine_names() -> list[str]:
-    """Names of all registered engines, sorted."""
-    return sorted(_ENGINES)
+    """Names of all registered engines, the built-in ones first."""
+    return ENGINES.names()
 
 
 def check_engine(name: str) -> None:
     """BadInput unless an engine of that name is registered."""
-    check_choice("engine", name, engine_names())
+    ENGINES.check(name)
 
 
 # L is a constant of an engine, because `mjx` rounds differently at another L. C MuJoCo rolls out
@@ -144,14 +161,13 @@ def make_engine(
     Raises:
       BadInput: no engine of that name, or a size that is not positive.
     """
-    if name not in _ENGINES:
-        raise BadInput(f"unknown engine {name!r}: expected one of {', '.join(engine_names())}")
+    make = ENGINES.make(name)
     if n_objects < 1 or lanes < 1:
         raise BadInput(
             f"engine {name}: n_objects and lanes must be positive, got {n_objects}, {lanes}"
         )
-    make = _ENGINES[name]
-    if isinstance(make, str):
-        module, attribute = make.split(":")
-        make = getattr(importlib.import_module(module), attribute)
-    return make(physics or Physics(), n_objects, lanes=lanes, **options)
+    engine = make(physics or Physics(), n_objects, lanes=lanes, **options)
+    missing = [a for a in ("rollout", "physics", "n_objects", "lanes") if not hasattr(engine, a)]
+    if missing:
+        raise BadInput(f"engine {name!r}: {short_repr(engine)} has no {missing[0]}, see Engine")
+    return engine

@@ -1,9 +1,10 @@
 """Settings of the cost and the planner; no JAX here, since the command line reads them."""
 
 import dataclasses
-from typing import Annotated, Literal, Protocol
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, Protocol
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.settings import Bounds, Count, check_choice, check_fields
 
 CostVariant = Literal["source", "paper"]
@@ -11,6 +12,18 @@ Update = Literal["greedy", "stomp"]
 Probability = Annotated[float, Bounds(0, 1)]
 # The rollout of the nominal trajectory takes 1.5 s: no task takes less.
 TaskLimit = Annotated[float, Bounds(1.5, unit="seconds")]
+Positive = Annotated[float, Bounds(above=0)]
+NotNegative = Annotated[float, Bounds(0)]
+Sigma = Annotated[tuple[float, float, float], Bounds(0)]
+EDGE_X, EDGE_Y = (0.20, 0.58), (-0.38, 0.38)  # m, where the centre of an object is on the shelf
+# Raised by whoever changes what the planner computes: it is in the identity of a sweep's cells.
+PLANNER_REVISION = 1
+# Options of the commands that plan, in their order in the help.
+PLANNER_OPTIONS = (
+    *("engine", "physics", "cost", "cost_weights", "update", "random_winner", "rollouts"),
+    *("sigma", "stomp_h", "stuck_count", "stuck_change", "stuck_excess", "lanes"),
+)
+SIGMA = (0.04, 0.04, 0.04)  # m/s, m/s, rad/s
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,8 +51,11 @@ class Cost:
     blocking_radius: float = 0.075  # m, likewise
     target_radius: float = 0.05  # m, pushed object to its target
     feasible_cost: float = 20.0
-    edge_x: tuple[float, float] = (0.20, 0.58)  # m
-    edge_y: tuple[float, float] = (-0.38, 0.38)  # m
+    edge_x: tuple[float, float] = EDGE_X
+    edge_y: tuple[float, float] = EDGE_Y
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,12 +64,12 @@ class Planner:
 
     rollouts: Count = 8  # K
     update: Update = "greedy"
-    # m/s, m/s, rad/s: standard deviations, as in the published source (the paper says variances)
-    sigma: tuple[float, float, float] = (0.04, 0.04, 0.04)
-    stomp_h: float = 10.0
-    stuck_count: int = 2
-    stuck_change: float = 50.0
-    stuck_excess: float = 1000.0
+    # Standard deviations of the noise, as in the published source (the paper says variances).
+    sigma: Sigma = SIGMA
+    stomp_h: Positive = 10.0
+    stuck_count: Count = 2
+    stuck_change: NotNegative = 50.0
+    stuck_excess: NotNegative = 1000.0
     # q, the probability that an iteration's winner is any of the K rollouts. This is an ablation:
     # the published source's rollouts share one simulator object, so that its choice among the K is
     # partly random.
@@ -63,6 +79,8 @@ class Planner:
     def __post_init__(self) -> None:
         check_fields(self)
         check_choice("cost", self.cost.variant, ["source", "paper"])
+        if len(self.sigma) != 3:
+            raise BadInput(f"sigma: expected three numbers (x, y, turn), got {self.sigma}")
         if self.random_winner > 0 and self.update == "stomp":
             raise BadInput(
                 "random_winner: expected 0 with update stomp (no winner), "
@@ -94,6 +112,81 @@ class Planning(Protocol):
         ...
 
     @property
+    def cost_weights(self) -> tuple[str, ...]:
+        """Weights and thresholds of the cost that differ from `Cost`, as NAME=VALUE."""
+        ...
+
+    @property
+    def rollouts(self) -> int:
+        """K, noisy rollouts of an iteration."""
+        ...
+
+    @property
+    def sigma(self) -> tuple[float, float, float]:
+        """Standard deviations of the noise, m/s, m/s, rad/s."""
+        ...
+
+    @property
+    def random_winner(self) -> float:
+        """See `Planner`."""
+        ...
+
+    @property
+    def stomp_h(self) -> float:
+        """See `Planner`."""
+        ...
+
+    @property
+    def stuck_count(self) -> int:
+        """See `Planner`."""
+        ...
+
+    @property
+    def stuck_change(self) -> float:
+        """See `Planner`."""
+        ...
+
+    @property
+    def stuck_excess(self) -> float:
+        """See `Planner`."""
+        ...
+
+    @property
     def lanes(self) -> int | None:
         """Robots in one call of the engine, L; None: the command's own number."""
         ...
+
+
+def planner_of(config: Planning) -> Planner:
+    """The planner's settings, out of a command's; BadInput where they cannot be."""
+    return Planner(
+        rollouts=config.rollouts,
+        update=config.update,
+        sigma=config.sigma,
+        stomp_h=config.stomp_h,
+        stuck_count=config.stuck_count,
+        stuck_change=config.stuck_change,
+        stuck_excess=config.stuck_excess,
+        random_winner=config.random_winner,
+        cost=Cost(variant=config.cost, **_weights(config.cost_weights)),
+    )
+
+
+def _weights(texts: Sequence[str]) -> dict[str, Any]:
+    """Parse NAME=VALUE of fields of `Cost`; a value is a number, or two with a comma between."""
+    fields = {field.name: field.default for field in dataclasses.fields(Cost)}
+    del fields["variant"]
+    weights: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        check_choice("cost_weights", name, list(fields))
+        try:
+            numbers = [float(word) for word in value.split(",")]
+        except ValueError:
+            numbers = []
+        pair = isinstance(fields[name], tuple)
+        if not equals or name in weights or len(numbers) != (2 if pair else 1):
+            form = "LOW,HIGH" if pair else "NUMBER"
+            raise BadInput(f"cost_weights: expected {name}={form} once, got {short_repr(text)}")
+        weights[name] = tuple(numbers) if pair else numbers[0]
+    return weights

@@ -7,11 +7,23 @@ from typing import Annotated
 import tyro
 
 from pgf_jax.errors import BadInput
+from pgf_jax.fleet.config import CLOCK_OPTIONS, ClockSeconds, FleetConfig, Gain
 from pgf_jax.fleet.policies import after, check_ask
 from pgf_jax.guidance.operators.registry import check_operator
 from pgf_jax.physics.config import PhysicsName
 from pgf_jax.physics.engine import check_engine
-from pgf_jax.planning.config import CostVariant, TaskLimit, Update
+from pgf_jax.planning.config import (
+    PLANNER_OPTIONS,
+    SIGMA,
+    CostVariant,
+    NotNegative,
+    Positive,
+    Probability,
+    Sigma,
+    TaskLimit,
+    Update,
+    planner_of,
+)
 from pgf_jax.scene import SceneClass
 from pgf_jax.settings import MAX_SEED, Count, Seconds, Seed, check_fields, check_int
 
@@ -24,8 +36,18 @@ class PlanConfig:
       engine: physics engine: planar, mjx, native, or a registered one.
       physics: physics constants: default, or paper (its substep, and the authors' softness).
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
+      cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
+        in w_d=2000 feasible_cost=10; the names are the fields of Cost.
       update: how an iteration changes the best trajectory: greedy takes the cheapest rollout, as
         the paper does; stomp blends the noise of all rollouts by weight.
+      random_winner: probability that an iteration takes any of its noisy rollouts instead of the
+        cheapest one: an ablation of a fault in the published source. 0 is the paper's.
+      rollouts: K, noisy rollouts of an iteration.
+      sigma: standard deviations of the noise on the hand's velocity, m/s, m/s and rad/s.
+      stomp_h: sensitivity of the weights that update stomp gives to rollouts.
+      stuck_count: iterations with hardly any change after which a robot is stuck.
+      stuck_change: a change of the cost below this is hardly any.
+      stuck_excess: a winner whose cost is above the best one by more than this counts as no change.
       operator: who gives input: heuristic, noisy, oracle, clairvoyant, none, or a registered one.
       ask: when the robot asks for input: stuck, gain (the predicted gain is high enough), after:N
         (after N reach iterations since each restart or input), or never.
@@ -34,7 +56,14 @@ class PlanConfig:
         checkpoints, for the paper's pair of networks in it; or best:FOLDER.
       service_mean: mean of a simulated operator's log-normal service time, s.
       service_sd: standard deviation of the service time, s; 0 makes it constant.
+      window: T_window of Alg. 2, for which bids are collected, s.
+      bid_threshold: a predicted gain must exceed it to be bid; in units of cost.
       task_limit: simulated time for planning, waiting and interaction in a task, s.
+      push_limit: simulated time for planning a push, s, and no more than is left of the task.
+      push_execution: simulated time of the execution of a push, s.
+      retreat: simulated time of the hand's retreat after a push, s.
+      reach_execution: simulated time of the execution of the reach, s.
+      rollout_time: simulated time of one rollout, s; an iteration takes two.
     """
 
     engine: str = "planar"
@@ -48,12 +77,29 @@ class PlanConfig:
     service_mean: Seconds = 8.0
     service_sd: Seconds = 4.0
     task_limit: TaskLimit = 180.0
+    window: Seconds = 2.0
+    bid_threshold: Gain = 1.0
+    push_limit: Seconds = 30.0
+    rollout_time: ClockSeconds = 1.5
+    push_execution: Seconds = 3.0
+    retreat: Seconds = 1.0
+    reach_execution: Seconds = 3.0
+    random_winner: Probability = 0.0
+    rollouts: Count = 8
+    sigma: Sigma = SIGMA
+    stomp_h: Positive = 10.0
+    stuck_count: Count = 2
+    stuck_change: NotNegative = 50.0
+    stuck_excess: NotNegative = 1000.0
+    cost_weights: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
         check_engine(self.engine)
         check_operator(self.operator)
         check_ask(self.ask)
+        self.fleet(0)
+        planner_of(self)
 
     @property
     def policy(self) -> str:
@@ -64,6 +110,26 @@ class PlanConfig:
             return after(check_ask(self.ask))
         # One robot has its operator for itself: an ask when stuck is granted at once.
         return {"stuck": "or-hitl", "gain": "pgf"}[self.ask]
+
+    def fleet(self, seed: int) -> FleetConfig:
+        """The fleet of one robot with one task that a plan is."""
+        return FleetConfig(
+            robots=1,
+            tasks=1,
+            policy=self.policy,
+            window_s=self.window,
+            service_mean_s=self.service_mean,
+            service_sd_s=self.service_sd,
+            rollout_time_s=self.rollout_time,
+            rollouts=self.rollouts,
+            bid_threshold=self.bid_threshold,
+            task_limit_s=self.task_limit,
+            push_limit_s=self.push_limit,
+            push_execution_s=self.push_execution,
+            retreat_s=self.retreat,
+            reach_execution_s=self.reach_execution,
+            seed=seed,
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,8 +160,9 @@ class PlanCommand:
 
     GROUPS = (  # of options, for the help
         ("scene", ("scene", "scene_class", "count", "seed")),
-        ("planning", ("engine", "physics", "cost", "update", "lanes", "task_limit")),
+        ("planning", PLANNER_OPTIONS),
         ("operator", ("operator", "ask", "predictor", "service_mean", "service_sd")),
+        ("clock", ("window", "bid_threshold", *CLOCK_OPTIONS)),
         ("output", ("out",)),
     )
 

@@ -82,12 +82,9 @@ def iter_plans(
             single_robot(
                 planner_service,
                 scene,
-                seed,
+                config.fleet(seed),
                 operator=config.operator,
-                policy=config.policy,
                 predictor=predictor,
-                task_limit_s=config.task_limit,
-                service_s=(config.service_mean, config.service_sd),
                 label=i,
             )
             for i, (scene, seed) in enumerate(scenes)

@@ -38,6 +38,7 @@ class Recording:
     sha256: str
 
     name = REPLAY
+    checked = True  # its inputs were, when they were given
 
     @classmethod
     def of(cls, log: EventLog) -> "Recording":

@@ -15,13 +15,10 @@ from pgf_jax.simulation.search_cache import SearchCache
 def single_robot(
     planner_service: PlannerService,
     scene: Scene,
-    seed: int,
+    config: FleetConfig,
     *,
     operator: str,
-    policy: str,
     predictor: GainPredictor | None = None,
-    task_limit_s: float,
-    service_s: tuple[float, float],
     label: Any = None,
 ) -> PlannedFleet:
     """A fleet of one robot whose one task is `scene`.
@@ -29,26 +26,16 @@ def single_robot(
     Args:
       planner_service: for the scene's number of objects.
       scene: the task.
-      seed: of noise and service times.
+      config: of the fleet; its seed is also that of the noise.
       operator: who gives input.
-      policy: when the robot asks for it.
       predictor: of what the robot bids.
-      task_limit_s: planning, waiting and interaction allowed, s.
-      service_s: mean and standard deviation of the service time, s.
       label: see `PlannedFleet`.
     """
     cache = SearchCache(
-        planner_service, scenes=lambda *_: scene, operator=make_operator(operator), seed=seed
+        planner_service,
+        scenes=lambda *_: scene,
+        operator=make_operator(operator),
+        seed=config.seed,
     )
     robots = PlannedRobots(cache, predictor=predictor)
-    config = FleetConfig(
-        robots=1,
-        tasks=1,
-        policy=policy,
-        seed=seed,
-        rollouts=planner_service.planner.config.rollouts,
-        task_limit_s=task_limit_s,
-        service_mean_s=service_s[0],
-        service_sd_s=service_s[1],
-    )
     return PlannedFleet(Fleet(config, robots), robots, label)

@@ -87,6 +87,19 @@ def write(file: Path, data: bytes, account: Mapping[str, Any]) -> None:
     write_atomically(file, data)
 
 
+def remove(file: Path) -> None:
+    """Remove a cell's file, and the one beside it.
+
+    Raises:
+      BadInput: it cannot be removed.
+    """
+    try:
+        file.unlink(missing_ok=True)
+        sidecar(file).unlink(missing_ok=True)
+    except OSError as error:
+        raise BadInput(f"{file}: cannot be removed ({error.strerror})") from error
+
+
 def read_account(file: Path) -> dict[str, Any]:
     """How a cell was computed, from the file beside it.
 

@@ -3,14 +3,17 @@
 import contextlib
 import fcntl
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import TEMPORARY
 from pgf_jax.fleet.config import Cell
+from pgf_jax.scene.file import save_scenes
 from pgf_jax.sweeping import cell_file
-from pgf_jax.sweeping.resolve import ResolvedSweep, differences
+from pgf_jax.sweeping.config import SCENES
+from pgf_jax.sweeping.resolve import CellSpec, ResolvedSweep, differences
 
 MANIFEST, RUN = "manifest.json", "run.json"
 RESULTS = ("tasks.parquet", "events.parquet", "summary.csv", "paired.csv", "fig6.png")
@@ -26,6 +29,8 @@ class CellStore:
       sweep: the sweep.
       kept: its cells that are finished and will not be computed again.
       missing: its other cells.
+      changed: of these, the ones whose file is of another version of a plugin: it is removed, and
+        they are computed again.
 
     Raises:
       BadInput: the folder holds results of another configuration, or files of unknown origin; or,
@@ -34,7 +39,8 @@ class CellStore:
 
     def __init__(self, sweep: ResolvedSweep) -> None:
         self.sweep = sweep
-        found = _finished_cells(sweep)
+        found, self._old = _finished_cells(sweep)
+        self.changed = tuple(self._old.values())
         keep = sweep.config.resume
         self.kept = tuple(cell for cell in sweep.cells if keep and cell.key in found)
         self.missing = tuple(cell for cell in sweep.cells if not (keep and cell.key in found))
@@ -55,6 +61,11 @@ class CellStore:
             for folder in (self.out, self.out / cell_file.FOLDER):
                 if not os.access(folder, os.W_OK | os.X_OK):
                     raise BadInput(f"out: {self.out} cannot be written to")
+            for file in self._old:
+                cell_file.remove(file)
+            scenes = self.sweep.config.scenes
+            if isinstance(scenes, tuple):
+                save_scenes(self.out / SCENES, scenes)
             yield
 
     def remove_merged(self) -> None:
@@ -82,46 +93,71 @@ class CellStore:
         return {spec.cell: cell_file.read(spec.path) for spec in self.sweep.cells}
 
 
-def _finished_cells(sweep: ResolvedSweep) -> set[str]:
-    """Keys of the finished cells in a sweep's folder; BadInput where it is not the sweep's."""
+def _finished_cells(sweep: ResolvedSweep) -> tuple[set[str], dict[Path, CellSpec]]:
+    """The finished cells in a sweep's folder.
+
+    Returns:
+      Their keys; and the files of those that differ in the version of a plugin alone.
+
+    Raises:
+      BadInput: the folder is not the sweep's.
+    """
     config, out = sweep.config, sweep.config.out
+    old: dict[Path, CellSpec] = {}
     if not out.exists():
-        return set()
+        return set(), old
     if not out.is_dir():
         raise BadInput(f"out: {out} is a file, expected a folder")
-    old = sorted((out / cell_file.FOLDER).glob("*/cell.json"))
-    if old:
-        raise _foreign(old[0], "of an older version of pgf_jax", out)
+    oldest = sorted((out / cell_file.FOLDER).glob("*/cell.json"))
+    if oldest:
+        raise _foreign(oldest[0], "of an older version of pgf_jax", out)
     known = {cell.key for cell in sweep.cells}
     found = cell_file.finished(out)
     for key in sorted(found):
         file = cell_file.path(out, key)
         if key not in known:
-            raise _unknown_cell(sweep, file)
-        if config.resume:
+            old[file] = _changed_cell(sweep, file)
+        elif config.resume:
             cell_file.check(file)
     leftover = [name for name in (*RESULTS, MANIFEST) if (out / name).exists()]
     if leftover and not found:
         # Their cells are gone, and only they could say what these were computed from.
         raise _foreign(out / leftover[0], "without the cells they were merged from", out)
-    return found
+    return found & known, old
 
 
-def _unknown_cell(sweep: ResolvedSweep, file: Path) -> BadInput:
-    """The message about a cell that is not one of the sweep's."""
+def _changed_cell(sweep: ResolvedSweep, file: Path) -> CellSpec:
+    """The sweep's cell that a file holds, made by another version of a plugin.
+
+    Raises:
+      BadInput: it holds none; the message leads with the setting that differs.
+    """
     out = sweep.config.out
     theirs = cell_file.decode(cell_file.check(file), file).about["identity"]
-    fleet = theirs.get("fleet")
+    closest = None
     for ours in sweep.cells:
-        name = (ours.cell.policy, ours.cell.robots)
-        if isinstance(fleet, dict) and (fleet.get("policy"), fleet.get("robots")) == name:
-            words = differences(theirs, ours.identity) or "by its name"
-            return _foreign(file, f"of another configuration ({words})", out)
-    what = "an unknown cell"
-    if isinstance(fleet, dict):
-        policy, robots = (short_repr(fleet.get(name), 40) for name in ("policy", "robots"))
-        what = f"{policy} with {robots} robots, a cell"
-    return _foreign(file, f"of {what} that this configuration has not", out)
+        if _without(theirs, "plugins") == _without(ours.identity, "plugins"):
+            return ours
+        words = differences(theirs, ours.identity)
+        if _fleet(theirs, "policy", "robots") == _fleet(ours.identity, "policy", "robots"):
+            closest = min(closest or words, words, key=lambda w: w.count(";"))
+    if not closest:
+        policy, robots = (short_repr(value, 40) for value in _fleet(theirs, "policy", "robots"))
+        closest = f"{policy} with {robots} robots, which this sweep has not"
+    raise BadInput(
+        f"{closest}: {out} holds results of other settings ({file.name}); choose another folder "
+        f"with --out, or delete {out}"
+    )
+
+
+def _fleet(identity: Mapping[str, Any], *names: str) -> tuple[Any, ...]:
+    """Settings of the fleet of an identity."""
+    fleet = identity.get("fleet")
+    return tuple(fleet.get(name) if isinstance(fleet, dict) else None for name in names)
+
+
+def _without(identity: Mapping[str, Any], name: str) -> dict[str, Any]:
+    return {key: value for key, value in identity.items() if key != name}
 
 
 def _foreign(file: Path, what: str, out: Path) -> BadInput:

@@ -4,17 +4,29 @@ import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.compute import parse_compute
-from pgf_jax.fleet.config import Cell, ClockSeconds, FleetConfig
-from pgf_jax.fleet.policies import policy_names
+from pgf_jax.fleet.config import CLOCK_OPTIONS, Cell, ClockSeconds, FleetConfig, Gain
+from pgf_jax.fleet.policies import check_policy
 from pgf_jax.physics.config import PhysicsName
 from pgf_jax.physics.engine import check_engine, default_lanes, default_processes
-from pgf_jax.planning.config import Cost, CostVariant, Planner, Probability, Update
-from pgf_jax.scene import SceneClass
-from pgf_jax.settings import Count, Seconds, Seed, check_choice, check_fields
+from pgf_jax.planning.config import (
+    PLANNER_OPTIONS,
+    SIGMA,
+    CostVariant,
+    NotNegative,
+    Planner,
+    Positive,
+    Probability,
+    Sigma,
+    TaskLimit,
+    Update,
+    planner_of,
+)
+from pgf_jax.scene import Scene, SceneClass
+from pgf_jax.settings import CommandLine, Count, Seconds, Seed, check_fields
 
 SampledClass = Literal[SceneClass, "all"]  # all: the three in turn
 
@@ -22,6 +34,7 @@ SampledClass = Literal[SceneClass, "all"]  # all: the three in turn
 HOW = ("preset", "workers", "scheduler", "out", "resume", "json")
 # Fields that say where a sweep's inputs lie; the inputs' content decides on results.
 INPUTS = ("scenes", "predictor", "log")
+SCENES = "scenes.json"  # in the folder of the results: the scenes that were given as objects
 # Policies that need no network that predicts a gain.
 GAINLESS = frozenset(
     {
@@ -72,6 +85,7 @@ class SweepConfig:
 
     Every robot works through scenes of its own, drawn by (seed, robot, task): they are the same for
     every policy and every fleet size, as are the planner's noise and the operators' service times.
+    In Python, `scenes` may also be a list of `Scene`, which is saved beside the results.
 
     Attributes:
       preset: sizes by name. quick: robots 1 and 4, 4 tasks each, policies pgf and or-hitl, tight
@@ -84,17 +98,27 @@ class SweepConfig:
         twice), or a registered one; None: pgf and or-hitl.
       tasks: tasks of each robot; None: those of the preset.
       seed: seed of scenes, planning noise, service times and ties.
+      seeds: several seeds, in place of seed: a fleet of each for every policy and fleet size, so
+        that the table and the figure can have intervals over fleets; None: seed alone.
       engine: physics engine: planar, mjx, native, or a registered one.
       physics: physics constants: default, or paper (its substep, and the authors' softness).
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
+      cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
+        in w_d=2000 feasible_cost=10; the names are the fields of Cost.
       update: how an iteration changes the best trajectory: greedy takes the cheapest rollout, as
         the paper does; stomp blends the noise of all rollouts by weight.
       random_winner: probability that an iteration takes any of its noisy rollouts instead of the
         cheapest one: an ablation of a fault in the published source. 0 is the paper's.
+      rollouts: K, noisy rollouts of an iteration.
+      sigma: standard deviations of the noise on the hand's velocity, m/s, m/s and rad/s.
+      stomp_h: sensitivity of the weights that update stomp gives to rollouts.
+      stuck_count: iterations with hardly any change after which a robot is stuck.
+      stuck_change: a change of the cost below this is hardly any.
+      stuck_excess: a winner whose cost is above the best one by more than this counts as no change.
       scene_class: class of the sampled scenes: tight, medium, wide, or all (the three in turn);
         None: tight, or that of the preset.
-      scenes: folder of scene files (*.xml) from which the tasks are drawn; None: scenes are
-        sampled.
+      scenes: scenes from which the tasks are drawn: a folder of scene files (*.xml), or a file of
+        scenes (*.json). None: scenes are sampled.
       operator: who gives input: heuristic, noisy, oracle, clairvoyant, none, or a registered one;
         replay: whoever gave it in a recorded session, whose settings are taken over.
       log: the session to replay, with operator replay only: its folder, or its event log; None:
@@ -104,6 +128,12 @@ class SweepConfig:
       service_sd: standard deviation of the service time, s; 0 makes it constant.
       context_switch: time added to a service when the operator served another robot before, s.
       window: T_window of Alg. 2, for which bids are collected, s.
+      bid_threshold: a predicted gain must exceed it to be bid; in units of cost.
+      task_limit: simulated time for planning, waiting and interaction in a task, s.
+      push_limit: simulated time for planning a push, s, and no more than is left of the task.
+      push_execution: simulated time of the execution of a push, s.
+      retreat: simulated time of the hand's retreat after a push, s.
+      reach_execution: simulated time of the execution of the reach, s.
       rollout_time: simulated time of one rollout, s; an iteration takes two.
       compute: dedicated (each robot has its own computer), or shared:C (all robots share a computer
         with C cores).
@@ -137,7 +167,7 @@ class SweepConfig:
     update: Update = "greedy"
     random_winner: Probability = 0.0
     scene_class: SampledClass | None = None
-    scenes: Path | None = None
+    scenes: Annotated[Path | tuple[Scene, ...] | None, CommandLine(Path | None)] = None
     operator: str = "heuristic"
     log: Path | None = None
     operators: Count = 1
@@ -155,11 +185,25 @@ class SweepConfig:
     resume: bool = False
     scheduler: str | None = None
     json: bool = False
+    seeds: tuple[Seed, ...] | None = None
+    bid_threshold: Gain = 1.0
+    task_limit: TaskLimit = 180.0
+    push_limit: Seconds = 30.0
+    push_execution: Seconds = 3.0
+    retreat: Seconds = 1.0
+    reach_execution: Seconds = 3.0
+    rollouts: Count = 8
+    sigma: Sigma = SIGMA
+    stomp_h: Positive = 10.0
+    stuck_count: Count = 2
+    stuck_change: NotNegative = 50.0
+    stuck_excess: NotNegative = 1000.0
+    cost_weights: tuple[str, ...] = ()
 
     GROUPS = (  # of options, for the help
-        ("fleet", ("preset", "robots", "policies", "tasks", "seed")),
+        ("fleet", ("preset", "robots", "policies", "tasks", "seed", "seeds")),
         ("scene", ("scene_class", "scenes")),
-        ("planning", ("engine", "physics", "cost", "update", "random_winner", "lanes")),
+        ("planning", PLANNER_OPTIONS),
         (
             "operator",
             (
@@ -172,20 +216,26 @@ class SweepConfig:
                 "context_switch",
             ),
         ),
-        ("clock", ("window", "rollout_time", "compute", "horizon")),
+        ("clock", ("window", "bid_threshold", *CLOCK_OPTIONS, "compute", "horizon")),
         ("computing", ("workers", "scheduler")),
         ("output", ("out", "resume", "json")),
     )
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.seeds is not None and len(self.seeds) == 1 and self.seed == 0:
+            object.__setattr__(self, "seed", self.seeds[0])
+            object.__setattr__(self, "seeds", None)
         self._check_fixed()
         self._check_scheduler()
         check_engine(self.engine)
         if self.scenes is not None and self.scene_class is not None:
+            where = f" {self.scenes}" if isinstance(self.scenes, Path) else ""
             raise BadInput(
-                f"scene_class: expected none beside scenes {self.scenes}, got {self.scene_class!r}"
+                f"scene_class: expected none beside scenes{where}, got {self.scene_class!r}"
             )
+        if self.scenes == ():
+            raise BadInput("scenes: expected one or more, got none")
         if self.service_mean == 0 and self.service_sd > 0:
             raise BadInput(f"service_sd: expected 0 with service_mean 0, got {self.service_sd!r}")
         parse_compute(self.compute)
@@ -195,6 +245,8 @@ class SweepConfig:
                 f"log: expected with operator replay and only with it, got {self.log} with "
                 f"{self.operator!r}"
             )
+        if self.log is not None and self.seeds is not None:
+            raise BadInput("seeds: a recorded session has one of its own; leave them out")
         for cell in self.cells():
             self.fleet(cell)
 
@@ -219,7 +271,7 @@ class SweepConfig:
         if preset is None or not preset.fixed:
             return
         if self.scenes is not None:
-            raise BadInput(f"scenes: the preset {self.preset} samples its own, got {self.scenes}")
+            raise BadInput(f"scenes: the preset {self.preset} samples its own; leave them out")
         for name in _SIZES:
             given = getattr(self, name)
             fixed = preset.tasks(0) if name == "tasks" else getattr(preset, name)
@@ -230,7 +282,9 @@ class SweepConfig:
                 )
 
     def _check_lists(self) -> None:
-        for name in ("robots", "policies"):
+        if self.seeds is not None and self.seed != 0:
+            raise BadInput(f"seed: expected none beside seeds, got {self.seed}")
+        for name in ("robots", "policies", "seeds"):
             given = getattr(self, name)
             if given is None:
                 continue
@@ -239,15 +293,16 @@ class SweepConfig:
                     f"{name}: expected one or more, all different, got {_words(given) or 'none'}"
                 )
         for policy in self.policies or ():
-            check_choice("policies", policy, [*policy_names()])
+            check_policy(policy, "policies")
 
     def cells(self) -> tuple[Cell, ...]:
-        """The cells, by policy, then by fleet size, in the order given."""
+        """The cells, by policy, then by fleet size, then by seed, in the order given."""
         sizes = PRESETS[self.preset] if self.preset is not None else DEFAULT
         return tuple(
-            Cell(policy, robots, self.tasks if self.tasks is not None else sizes.tasks(robots))
+            Cell(policy, robots, self.tasks or sizes.tasks(robots), seed)
             for policy in self.policies or sizes.policies
             for robots in self.robots or sizes.robots
+            for seed in self.seeds or (self.seed,)
         )
 
     def of_cell(self, cell: Cell) -> dict[str, object]:
@@ -259,19 +314,22 @@ class SweepConfig:
             "robots": [cell.robots],
             "policies": [cell.policy],
             "tasks": cell.tasks,
+            "seed": cell.seed,
             "scene_class": self.sampled_class(),
             "lanes": self.engine_lanes(),
         }
         settings = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
-            if field.name not in HOW + INPUTS
+            if field.name not in (*HOW, *INPUTS, "seeds")
         }
         return settings | own
 
     def inputs(self) -> dict[str, str | None]:
         """Paths of the sweep's inputs, by field."""
         values = {name: getattr(self, name) for name in INPUTS}
+        if isinstance(self.scenes, tuple):
+            values["scenes"] = self.out / SCENES
         return {name: None if value is None else str(value) for name, value in values.items()}
 
     def fleet(self, cell: Cell) -> FleetConfig:
@@ -286,17 +344,21 @@ class SweepConfig:
             service_sd_s=self.service_sd,
             context_switch_s=self.context_switch,
             rollout_time_s=self.rollout_time,
-            rollouts=self.planner().rollouts,
+            rollouts=self.rollouts,
             compute=self.compute,
             horizon_s=self.horizon,
-            seed=self.seed,
+            bid_threshold=self.bid_threshold,
+            task_limit_s=self.task_limit,
+            push_limit_s=self.push_limit,
+            push_execution_s=self.push_execution,
+            retreat_s=self.retreat,
+            reach_execution_s=self.reach_execution,
+            seed=cell.seed,
         )
 
     def planner(self) -> Planner:
         """The planner's settings."""
-        return Planner(
-            update=self.update, cost=Cost(variant=self.cost), random_winner=self.random_winner
-        )
+        return planner_of(self)
 
     def sampled_class(self) -> str | None:
         """The class of the sampled scenes; None where they come from files."""

@@ -17,18 +17,21 @@ from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import MAX_CONTACTS
 from pgf_jax.provenance import environment, host
 from pgf_jax.sweeping.cell_file import FOLDER, Content
-from pgf_jax.sweeping.config import HOW, SweepConfig
-from pgf_jax.sweeping.resolve import FORMAT, ResolvedSweep
+from pgf_jax.sweeping.config import HOW, SCENES, SweepConfig
+from pgf_jax.sweeping.resolve import FORMAT, ResolvedSweep, plugins_record
 from pgf_jax.sweeping.run_cells import BatchStats
 
 
 def settings(config: SweepConfig) -> dict[str, Any]:
     """A sweep's configuration, as JSON, without how and where it is computed."""
-    return {
-        name: str(value) if isinstance(value, Path) else value
-        for name, value in dataclasses.asdict(config).items()
-        if name not in HOW
+    values = {
+        field.name: getattr(config, field.name)
+        for field in dataclasses.fields(config)
+        if field.name not in HOW
     }
+    if isinstance(config.scenes, tuple):
+        values["scenes"] = SCENES
+    return {name: str(v) if isinstance(v, Path) else v for name, v in values.items()}
 
 
 def about(sweep: ResolvedSweep) -> dict[str, Any]:
@@ -37,6 +40,7 @@ def about(sweep: ResolvedSweep) -> dict[str, Any]:
         "format": FORMAT,
         "config": settings(sweep.config),
         "predictors": {name: file["sha256"] for name, file in sweep.predictor_files.items()},
+        **_plugins(sweep),
         **environment(),
     }
 
@@ -78,7 +82,7 @@ def manifest(
             }
             for spec in sweep.cells
         ],
-        "seed": config.seed,
+        "seed": None if config.seeds else config.seed,
         "engine": config.engine,
         "lanes": config.engine_lanes(),
         "rollouts": config.planner().rollouts,
@@ -87,6 +91,7 @@ def manifest(
         "planner": dataclasses.asdict(config.planner()),
         "scenes": _scenes(sweep),
         "predictors": sweep.predictor_files,
+        **_plugins(sweep),
         **environment(),
         "origins": origins(tables.values()),
         "files": {name: sha256(data) for name, data in files.items()},
@@ -96,7 +101,7 @@ def manifest(
 def run_record(
     config: SweepConfig,
     *,
-    kept: Iterable[Cell],
+    kept: Iterable[str],
     stats: Iterable[BatchStats],
     wall_s: float,
     cells_s: float,
@@ -107,21 +112,21 @@ def run_record(
 
     Args:
       config: of the sweep.
-      kept: cells that were finished before.
+      kept: names of the cells that were finished before.
       stats: of each batch.
       wall_s: time of this run, s, compilation included.
       cells_s: of it, until the last cell was there.
       together: sweeps that were run as one; stats and time are of all of them.
       retried: cells that were computed again, after a worker's death.
     """
-    stats, kept = list(stats), set(kept)
+    stats = list(stats)
     used, computed = sum(s.used for s in stats), sum(s.computed for s in stats)
     return {
         "out": str(config.out),
         "host": host(),
         "workers": config.scheduler or config.processes(),
         "batches": len(stats),
-        "cells_kept": [cell.name for cell in config.cells() if cell in kept],
+        "cells_kept": list(kept),
         "cells_sent_again": retried,
         "wall_clock": {
             "wall_s": wall_s,
@@ -150,12 +155,18 @@ def run_record(
     }
 
 
+def _plugins(sweep: ResolvedSweep) -> dict[str, Any]:
+    """What the sweep uses of plugins; without any, no key at all."""
+    used = dict.fromkeys(plugin for cell in sweep.cells for plugin in cell.plugins)
+    return {"plugins": plugins_record(used)} if used else {}
+
+
 def _scenes(sweep: ResolvedSweep) -> dict[str, Any]:
     scenes = sweep.scenes
     if scenes.files is None:
         return {"class": scenes.scene_class, "objects": scenes.n_objects}
     return {
-        "folder": str(sweep.config.scenes),
+        "folder": settings(sweep.config)["scenes"],
         "files": len(scenes.files),
         "sha256": scenes.digest,
         "objects": scenes.n_objects,

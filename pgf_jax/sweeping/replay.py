@@ -105,18 +105,20 @@ def agreed_settings(
 ) -> dict[str, Any]:
     """The recorded settings; ours must be the same or not given.
 
+    A setting that the log lacks was added later: it was recorded with the default, which is what
+    was built in then.
+
     Raises:
-      BadInput: one that is given differs, or the log lacks one.
+      BadInput: one that is given differs.
     """
+    values = {name: recorded.get(name, defaults[name]) for name in ours}
     for name, value in ours.items():
-        if name not in recorded:
-            raise BadInput(f"{path}: its settings lack {name}")
-        if value != defaults[name] and value != recorded[name]:
+        if value != defaults[name] and value != values[name]:
             raise BadInput(
                 f"{name}: {short_repr(value)}, but {path} was recorded with "
-                f"{short_repr(recorded[name])}; leave it out"
+                f"{short_repr(values[name])}; leave it out"
             )
-    return {name: recorded[name] for name in ours}
+    return values
 
 
 def replay_difference(events: list[Event], log: EventLog) -> str | None:

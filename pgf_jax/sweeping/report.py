@@ -92,6 +92,12 @@ class Report:
         self.retried_cells += cells
         self._say(f"{why}: {cells} cells are computed again")
 
+    def plugin_changed(self, cells: Sequence[CellSpec]) -> None:
+        """Say which cells are computed again because a plugin is another one now."""
+        if cells:
+            names = ", ".join(self._name(cell) for cell in cells)
+            self._say(f"computed again, as a plugin has changed since: {names}")
+
     def interrupted(self, *out: object) -> None:
         """Say what is kept, and how to go on."""
         where = str(out[0]) if len(out) == 1 else f"{out[0]} .. {out[-1]}"

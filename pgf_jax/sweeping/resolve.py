@@ -5,7 +5,7 @@ The configuration stops here: what computes a cell knows its `CellSpec` alone.
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,18 @@ from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import sha256
 from pgf_jax.fleet.config import Cell
-from pgf_jax.guidance.operators.registry import check_operator
+from pgf_jax.fleet.policies import POLICIES
+from pgf_jax.guidance.operators.registry import OPERATORS, check_operator
 from pgf_jax.guidance.predictors.checkpoint import PAIR, checkpoint_name, shipped_checkpoints
 from pgf_jax.guidance.predictors.registry import NETWORKS, PredictorSpec, predictor_spec
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.physics.config import PHYSICS
+from pgf_jax.physics.engine import ENGINES
+from pgf_jax.planning.config import PLANNER_REVISION
+from pgf_jax.plugins.registry import Plugin, made_of
 from pgf_jax.provenance import DECISIVE, device, environment, versions
 from pgf_jax.scene import Scene, load_scenes
+from pgf_jax.scene.file import read_scenes
 from pgf_jax.simulation.fleet_spec import FleetSpec, TaskScenes
 from pgf_jax.simulation.recorded_operator import LIVE, REPLAY, Recording
 from pgf_jax.sweeping import cell_file
@@ -38,28 +43,27 @@ class CellSpec:
 
     Attributes:
       sweep: number of its sweep among those that are run together.
-      cell: policy and sizes.
+      cell: policy, sizes and seed.
+      name: of the cell: policy and size, and the seed where the sweep has several.
       key: of its file, the digest of `identity`.
       identity: everything that its results depend on, as JSON; neither workers nor other cells.
       fleet: what is simulated.
       settings: of the sweep that decide on it, as arguments of a sweep of it alone.
       inputs: where scenes, checkpoints and log are; their content decides, so it is in `identity`.
       out: folder of the results.
+      plugins: what it uses of plugins, each with the digest of everything that it is made of.
     """
 
     sweep: int
     cell: Cell
+    name: str
     key: str
     identity: Mapping[str, Any]
     fleet: FleetSpec
     settings: Mapping[str, Any]
     inputs: Mapping[str, str | None]
     out: Path
-
-    @property
-    def name(self) -> str:
-        """The cell's name, policy and size."""
-        return self.cell.name
+    plugins: tuple[tuple[Plugin, str], ...] = ()
 
     @property
     def tasks(self) -> int:
@@ -76,6 +80,7 @@ class CellSpec:
         return {
             "identity": self.identity,
             "config": json.loads(json.dumps(self.settings)),
+            **({"plugins": plugins_record(self.plugins)} if self.plugins else {}),
             **json.loads(json.dumps(environment())),
         }
 
@@ -87,7 +92,7 @@ class ResolvedSweep:
     Attributes:
       config: its configuration.
       cells: in the order of the configuration.
-      scenes: of its tasks.
+      scenes: of its tasks, of the first seed.
       predictor_files: of each network: digest of its file, and what it was trained on.
     """
 
@@ -109,7 +114,7 @@ def resolve(config: SweepConfig, loaded: Loaded | None = None, *, number: int = 
       BadInput: one line that names the field or the file.
     """
     recording = _recording(config)
-    scenes = task_scenes(config, _scene_files(config))
+    scene_files = _scene_files(config)
     predictor, classifier, files = _predictors(config, {} if loaded is None else loaded)
 
     def spec(cell: Cell) -> CellSpec:
@@ -120,31 +125,44 @@ def resolve(config: SweepConfig, loaded: Loaded | None = None, *, number: int = 
             physics=config.physics,
             planner=config.planner(),
             lanes=config.engine_lanes(),
-            scenes=scenes,
+            scenes=task_scenes(config, scene_files, seed=cell.seed),
             operator=config.operator,
             # Robots' numbers are logged under every policy, whether it bids them or not.
             predictor=TrueGain() if oracle else classifier if classify else predictor,
             recording=recording,
         )
         networks = [n for n in files if (n in NETWORKS["classifier"]) == classify and not oracle]
-        identity = _identity(fleet, {name: files[name]["sha256"] for name in networks})
+        plugins = _plugins(fleet)
+        identity = _identity(fleet, {name: files[name]["sha256"] for name in networks}, plugins)
         return CellSpec(
             sweep=number,
             cell=cell,
+            name=f"{cell.name}_seed{cell.seed}" if config.seeds else cell.name,
             key=cell_file.key(identity),
             identity=identity,
             fleet=fleet,
             settings=config.of_cell(cell),
             inputs=config.inputs(),
             out=config.out,
+            plugins=plugins,
         )
 
-    return ResolvedSweep(config, tuple(map(spec, config.cells())), scenes, files)
+    cells = tuple(map(spec, config.cells()))
+    return ResolvedSweep(config, cells, cells[0].fleet.scenes, files)
 
 
-def task_scenes(config: SweepConfig, files: tuple[Scene, ...] | None = None) -> TaskScenes:
-    """The scenes of a sweep's tasks; `files`: those of its folder, None: sample."""
-    return TaskScenes(config.seed, config.sampled_class() if files is None else None, files)
+def task_scenes(
+    config: SweepConfig, files: tuple[Scene, ...] | None = None, *, seed: int | None = None
+) -> TaskScenes:
+    """The scenes of the tasks of a sweep's fleets.
+
+    Args:
+      config: the sweep's.
+      files: the scenes of its folder; None: they are sampled.
+      seed: of the fleets; None: that of the configuration.
+    """
+    scene_class = config.sampled_class() if files is None else None
+    return TaskScenes(config.seed if seed is None else seed, scene_class, files)
 
 
 def _recording(config: SweepConfig) -> Recording | None:
@@ -159,12 +177,22 @@ def _recording(config: SweepConfig) -> Recording | None:
 def _scene_files(config: SweepConfig) -> tuple[Scene, ...] | None:
     if config.scenes is None:
         return None
-    files = tuple(load_scenes(config.scenes))
+    if isinstance(config.scenes, tuple):
+        files = config.scenes
+        names = [scene.name for scene in files]
+        for name in names:
+            if names.count(name) > 1:
+                raise BadInput(f"scenes: expected scenes of different names, got {name!r} twice")
+    elif config.scenes.suffix == ".json":
+        files = tuple(read_scenes(config.scenes))
+    else:
+        files = tuple(load_scenes(config.scenes))
     n_objects = len(files[0].objects)
     for scene in files:
         if len(scene.objects) != n_objects:
+            where = config.scenes if isinstance(config.scenes, Path) else "scenes"
             raise BadInput(
-                f"{config.scenes}: {scene.name} has {len(scene.objects)} objects, expected "
+                f"{where}: {scene.name} has {len(scene.objects)} objects, expected "
                 f"{n_objects} as in {files[0].name}"
             )
     return files
@@ -213,8 +241,50 @@ def _shipped() -> bool:
     return any((folder / checkpoint_name(network)).is_file() for network in PAIR)
 
 
-def _identity(fleet: FleetSpec, predictors: Mapping[str, str]) -> dict[str, Any]:
+def _plugins(fleet: FleetSpec) -> tuple[tuple[Plugin, str], ...]:
+    """What a fleet uses of plugins, and the digest of what each is made of."""
+    used = []
+    for registry, name, made in (
+        (POLICIES, fleet.config.policy, lambda make: make(fleet.config)),
+        (OPERATORS, fleet.operator, lambda make: make()),
+        (ENGINES, fleet.engine, lambda make: make),  # an engine itself may hold anything
+    ):
+        if registry is OPERATORS and name in (REPLAY, LIVE):
+            continue
+        plugin = registry.plugin(name)
+        if plugin is not None:
+            used.append((plugin, made_of(plugin, made(registry.make(name)))))
+    return tuple(used)
+
+
+def plugins_record(plugins: Iterable[tuple[Plugin, str]]) -> dict[str, Any]:
+    """Where the policy, the operator and the engine come from that are of plugins, as JSON."""
+    return {
+        f"{plugin.kind} {plugin.name}": {
+            "module": plugin.module,
+            "version": plugin.version,
+            "source_sha256": plugin.source,
+            "sha256": sha256_of_all,
+        }
+        for plugin, sha256_of_all in plugins
+    }
+
+
+def _revisions(fleet: FleetSpec) -> dict[str, int]:
+    """Revisions of the built-in parts of a fleet whose results have changed since the first one."""
+    parts = ((POLICIES, fleet.config.policy), (ENGINES, fleet.engine))
+    if fleet.operator not in (REPLAY, LIVE):
+        parts = (*parts, (OPERATORS, fleet.operator))
+    revisions = {registry.kind: registry.revision(name) for registry, name in parts}
+    revisions["planner"] = PLANNER_REVISION
+    return {kind: revision for kind, revision in revisions.items() if revision > 1}
+
+
+def _identity(
+    fleet: FleetSpec, predictors: Mapping[str, str], plugins: Sequence[tuple[Plugin, str]]
+) -> dict[str, Any]:
     """Everything that a cell's results depend on, as JSON; `predictors`: network -> digest."""
+    revisions = _revisions(fleet)
     content = {
         "format": FORMAT,
         "fleet": dataclasses.asdict(fleet.config),
@@ -229,6 +299,8 @@ def _identity(fleet: FleetSpec, predictors: Mapping[str, str]) -> dict[str, Any]
         "predictors": predictors,
         "versions": {name: versions()[name] for name in DECISIVE},
         "device": device(),
+        **({"plugins": {plugin.kind: made for plugin, made in plugins}} if plugins else {}),
+        **({"revisions": revisions} if revisions else {}),
     }
     return json.loads(json.dumps(content))
 
@@ -244,8 +316,9 @@ def differences(theirs: Any, ours: Mapping[str, Any]) -> str:
             inner = differences(a, b)
             words += [inner] if inner else []
         elif a != b or (key in theirs) != (key in ours):
-            words.append(f"{_short(key)} {_short(a)}, now {_short(b)}")
-    return "; ".join(words)
+            # In an identity simulated times end in _s; the settings have no unit in their names.
+            words.append(f"{_short(key).removesuffix('_s')} {_short(a)}, now {_short(b)}")
+    return "; ".join(dict.fromkeys(words))  # K is a setting of planner and fleet
 
 
 def _short(value: object) -> str:
@@ -272,9 +345,6 @@ def config_of(about: Mapping[str, Any], inputs: Mapping[str, Any], out: Path) ->
     if unknown:
         raise BadInput(f"its configuration has {unknown[0]}, which a sweep has not")
     given: dict[str, Any] = {**settings, "out": out}
-    for name in ("robots", "policies"):
-        if isinstance(given.get(name), list):
-            given[name] = tuple(given[name])
     for name in INPUTS:
         if inputs.get(name) is not None:
             given[name] = inputs[name] if name == "predictor" else Path(inputs[name])

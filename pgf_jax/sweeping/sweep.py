@@ -22,6 +22,8 @@ from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.metrics import CellSummary, summarise
 from pgf_jax.parallel.cluster import open_cluster
 from pgf_jax.parallel.local import LocalPool
+from pgf_jax.plugins.digest import is_interactive
+from pgf_jax.plugins.registry import check_importable
 from pgf_jax.simulation.recorded_operator import LIVE
 from pgf_jax.sweeping import cell_file
 from pgf_jax.sweeping.cell_store import MANIFEST, RESULTS, RUN, CellStore
@@ -144,6 +146,7 @@ def sweeps(
         cells = [cell for store in stores for cell in store.sweep.cells]
         kept = [cell for store in stores for cell in store.kept]
         with Report(cells, kept, Console(stderr=True), quiet=quiet, json=as_json) as report:
+            report.plugin_changed([cell for store in stores for cell in store.changed])
             try:
                 stats, cells_s = _compute(stores, report, executor)
             except KeyboardInterrupt:
@@ -154,7 +157,7 @@ def sweeps(
         for store in stores:
             record = run_record(
                 store.sweep.config,
-                kept=[spec.cell for spec in store.kept],
+                kept=[spec.name for spec in store.kept],
                 stats=stats,
                 wall_s=wall_s,
                 cells_s=cells_s,
@@ -227,13 +230,20 @@ def _executor(
     workers = max((config.processes() for config in configs), default=1)
     if given is not None:
         return lambda: (_Borrowed(given), workers)
+    plugins = {plugin for cell in missing for plugin, _ in cell.plugins}
     if configs and configs[0].scheduler is not None:
+        for plugin in plugins:
+            check_importable(plugin, "elsewhere")
         return functools.partial(open_cluster, configs[0].scheduler)
     workers = min(workers, len(missing))
     if all(config.workers is None for config in configs):
         workers = min(workers, 1 + sum(cell.tasks for cell in missing) // TASKS_A_PROCESS)
+        if any(is_interactive(plugin.module) for plugin in plugins):
+            workers = 1
     if workers <= 1:
         return None
+    for plugin in plugins:
+        check_importable(plugin, "here")
     return lambda: (LocalPool(workers), workers)
 
 

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 from pgf_jax import cores, provenance
 from pgf_jax.errors import BadInput
 from pgf_jax.files import TEMPORARY
+from pgf_jax.plugins.registry import require
 from pgf_jax.sweeping import cell_file
 from pgf_jax.sweeping.cell_store import SESSION
 from pgf_jax.sweeping.resolve import CellSpec
@@ -89,13 +90,12 @@ def run_batch(
         differs from the one that asks in something that decides on results.
       Stopped: the session has ended.
     """
-    ours = provenance.kind()
+    ours, here = provenance.kind(), f"worker on {provenance.host()['name']}"
     if ours != batch.kind:
         name = next(name for name in batch.kind if ours.get(name) != batch.kind[name])
-        raise BadInput(
-            f"worker on {provenance.host()['name']}: has {name} {ours.get(name)}, expected "
-            f"{batch.kind[name]} as here"
-        )
+        raise BadInput(f"{here}: has {name} {ours.get(name)}, expected {batch.kind[name]} as here")
+    for plugin in {plugin for cell in batch.cells for plugin, _ in cell.plugins}:
+        require(plugin, here)
     writer = CellWriter(batch, on_progress)
     # Some are finished where an executor sends a batch again by itself, after a worker's death.
     cells = [cell for cell in batch.cells if not batch.is_finished(cell)]

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.guidance.operators.base import AnyOperator, NoOperator
-from pgf_jax.settings import check_choice
+from pgf_jax.plugins.registry import Registry, caller
 
 # These import late: the operators need the planner and so JAX, and the command line lists them.
 
@@ -33,37 +33,61 @@ def _noisy() -> AnyOperator:
     return NoisyOperator()
 
 
-_OPERATORS: dict[str, Callable[[], AnyOperator]] = {
-    "none": NoOperator,
-    "heuristic": _heuristic,
-    "oracle": _oracle,
-    "clairvoyant": _clairvoyant,
-    "noisy": _noisy,
-}
+OPERATORS: Registry[Callable[[], AnyOperator]] = Registry(
+    "operator",
+    {
+        "none": NoOperator,
+        "heuristic": _heuristic,
+        "oracle": _oracle,
+        "clairvoyant": _clairvoyant,
+        "noisy": _noisy,
+    },
+)
 
 
-def register_operator(name: str, make: Callable[[], AnyOperator]) -> None:
-    """Register `make()` for `make_operator(name)`."""
-    _OPERATORS[name] = make
+def register_operator(
+    name: str,
+    make: Callable[[], AnyOperator],
+    *,
+    version: str | None = None,
+    replace: bool = False,
+) -> None:
+    """Register an operator under a name, by which settings ask for it.
+
+    Results are named by the source of the package that registers it, and by the settings of what
+    `make()` returns (its attributes). So changed code computes its cells again.
+
+    Args:
+      name: of the operator.
+      make: returns an `Operator` or a `RolloutOperator`.
+      version: stands for the source where that cannot be seen; raise it when results change.
+      replace: take the place of the operator that has this name.
+
+    Raises:
+      BadInput: the name is taken; or neither a source nor a version is there.
+    """
+    OPERATORS.register(name, make, module=caller(), version=version, replace=replace)
 
 
 def operator_names() -> list[str]:
-    """Names of all registered operators, sorted."""
-    return sorted(_OPERATORS)
+    """Names of all registered operators, the built-in ones first."""
+    return OPERATORS.names()
 
 
 def make_operator(name: str) -> AnyOperator:
     """Build the operator of a name.
 
     Raises:
-      BadInput: no operator of that name.
+      BadInput: no operator of that name, or what was registered is none.
     """
-    if name not in _OPERATORS:
-        expected = ", ".join(operator_names())
-        raise BadInput(f"unknown operator {name!r}: expected one of {expected}")
-    return _OPERATORS[name]()
+    operator = OPERATORS.make(name)()
+    if not callable(getattr(operator, "decide", getattr(operator, "deliberate", None))):
+        raise BadInput(
+            f"operator {name!r}: {short_repr(operator)} has no method decide(view), see Operator"
+        )
+    return operator
 
 
 def check_operator(name: str) -> None:
     """Raise BadInput unless an operator of that name is registered."""
-    check_choice("operator", name, operator_names())
+    OPERATORS.check(name)
