@@ -17,10 +17,17 @@ if TYPE_CHECKING:
     from pgf_jax.collection.config import CollectConfig as CollectConfig
     from pgf_jax.errors import BadInput as BadInput
     from pgf_jax.fleet.config import FleetConfig as FleetConfig
+    from pgf_jax.fleet.policies import Discipline as Discipline
+    from pgf_jax.fleet.policies import PolicyBase as PolicyBase
+    from pgf_jax.fleet.policies import register_policy as register_policy
+    from pgf_jax.guidance.operators.registry import register_operator as register_operator
+    from pgf_jax.guidance.view import View as View
     from pgf_jax.inspection.config import VerifyConfig as VerifyConfig
     from pgf_jax.inspection.verify import verify as verify
     from pgf_jax.physics.config import Physics as Physics
+    from pgf_jax.physics.engine import Rollout as Rollout
     from pgf_jax.physics.engine import make_engine as make_engine
+    from pgf_jax.physics.engine import register_engine as register_engine
     from pgf_jax.planning.types import Push as Push
     from pgf_jax.planning.types import Status as Status
     from pgf_jax.plans.config import PlanConfig as PlanConfig
@@ -38,6 +45,13 @@ if TYPE_CHECKING:
     from pgf_jax.training.train import train as train
 
 _MODULES = {
+    "Rollout": "physics.engine",
+    "View": "guidance.view",
+    "PolicyBase": "fleet.policies",
+    "Discipline": "fleet.policies",
+    "register_policy": "fleet.policies",
+    "register_operator": "guidance.operators.registry",
+    "register_engine": "physics.engine",
     "BadInput": "errors",
     "CollectConfig": "collection.config",
     "FleetConfig": "fleet.config",

@@ -21,6 +21,7 @@ from tyro import _errors as tyro_errors
 from tyro.constructors import ConstructorRegistry, PrimitiveTypeInfo
 
 from pgf_jax.errors import BadInput
+from pgf_jax.plugins.loading import load_plugin
 from pgf_jax.settings import CommandLine
 
 
@@ -52,7 +53,10 @@ def parse(config: type, arguments: Sequence[str], prog: str) -> Any:
             parsed = tyro.cli(
                 _grouped(config), prog=prog, description=_description(config), args=arguments
             )
-        return _make(config, _values(parsed))
+        values = _values(parsed)
+        for module in values.pop(_PLUGIN):
+            load_plugin(module)  # first: settings may name what it registers
+        return _make(config, values)
     except BadInput as error:
         raise BadInput(_as_flag(str(error))) from None
     except (AssertionError, OSError, ValueError) as error:  # tyro's own options, of completions
@@ -112,6 +116,14 @@ def _as_flag(message: str) -> str:
     return re.sub(r"^([a-z][a-z_]*)(?=: )", lambda m: "--" + m[1].replace("_", "-"), message)
 
 
+# An option of every command: what a plugin registers, all commands can be given by name.
+_PLUGIN = "plugin"
+_PLUGIN_TEXT = (
+    "module to import first, because it registers policies, operators or engines; may be given "
+    "several times. Installed packages that have the entry point pgf_jax.plugins need none."
+)
+
+
 # --- help ---------------------------------------------------------------------------------------
 
 
@@ -134,6 +146,11 @@ def _grouped(config: type) -> type:
     """
     options = _options(config)
     texts = tuple(type("Texts", (), {"__doc__": _texts(kind)}) for kind in _classes(config))
+    plugin = Annotated[
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(name=_PLUGIN, metavar="MODULE", help=_PLUGIN_TEXT),
+    ]
 
     def group(title: str, names: Sequence[str]) -> tuple[str, Any]:
         fields = [options.pop(name) for name in names]
@@ -143,6 +160,8 @@ def _grouped(config: type) -> type:
         ]
 
     groups = [group(title, names) for title, names in getattr(config, "GROUPS", ())]
+    options[_PLUGIN] = (_PLUGIN, plugin, dataclasses.field(default=()))
+    groups.append(group("plugin", (_PLUGIN,)))
     fields = [*options.values(), *groups]
     return dataclasses.make_dataclass(config.__name__, fields, bases=texts, kw_only=True)
 

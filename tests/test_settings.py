@@ -113,10 +113,10 @@ def numbers(hint: Any, bounded: bool = False) -> list[bool]:
     """For each number in a type: whether it has bounds."""
     if typing.get_origin(hint) is Annotated:
         inner, *metadata = typing.get_args(hint)
-        return numbers(inner, any(isinstance(one, Bounds) for one in metadata))
+        return numbers(inner, bounded or any(isinstance(one, Bounds) for one in metadata))
     if hint in (int, float):
         return [bounded]
-    return [found for inner in typing.get_args(hint) for found in numbers(inner)]
+    return [found for inner in typing.get_args(hint) for found in numbers(inner, bounded)]
 
 
 @pytest.mark.parametrize(

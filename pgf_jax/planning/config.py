@@ -14,6 +14,7 @@ Probability = Annotated[float, Bounds(0, 1)]
 TaskLimit = Annotated[float, Bounds(1.5, unit="seconds")]
 Positive = Annotated[float, Bounds(above=0)]
 NotNegative = Annotated[float, Bounds(0)]
+Range = Annotated[tuple[float, float], Bounds()]  # low and high
 Sigma = Annotated[tuple[float, float, float], Bounds(0)]
 EDGE_X, EDGE_Y = (0.20, 0.58), (-0.38, 0.38)  # m, where the centre of an object is on the shelf
 # Raised by whoever changes what the planner computes: it is in the identity of a sweep's cells.
@@ -37,22 +38,22 @@ class Cost:
     """
 
     variant: CostVariant = "source"
-    w_d: float = 4000.0  # per m
-    w_f: float = 0.3  # per N above `force_threshold`
-    w_f_paper: float = 30.0  # per N
-    w_b: float = 450.0  # per blocking object
-    w_h: float = 300.0  # per m (the source: 4000)
-    w_edge: float = 300.0  # per object and violated axis, each knot
-    w_static: float = 300.0  # per knot in which the robot touches the shelf
-    force_threshold: float = 40.0  # N
-    force_not_finite: float = 30.0
-    bearing_m_per_rad: float = 0.09
-    goal_radius: float = 0.06  # m, with the bearing counted in
-    blocking_radius: float = 0.075  # m, likewise
-    target_radius: float = 0.05  # m, pushed object to its target
-    feasible_cost: float = 20.0
-    edge_x: tuple[float, float] = EDGE_X
-    edge_y: tuple[float, float] = EDGE_Y
+    w_d: NotNegative = 4000.0  # per m
+    w_f: NotNegative = 0.3  # per N above `force_threshold`
+    w_f_paper: NotNegative = 30.0  # per N
+    w_b: NotNegative = 450.0  # per blocking object
+    w_h: NotNegative = 300.0  # per m (the source: 4000)
+    w_edge: NotNegative = 300.0  # per object and violated axis, each knot
+    w_static: NotNegative = 300.0  # per knot in which the robot touches the shelf
+    force_threshold: NotNegative = 40.0  # N
+    force_not_finite: NotNegative = 30.0
+    bearing_m_per_rad: NotNegative = 0.09
+    goal_radius: NotNegative = 0.06  # m, with the bearing counted in
+    blocking_radius: NotNegative = 0.075  # m, likewise
+    target_radius: NotNegative = 0.05  # m, pushed object to its target
+    feasible_cost: NotNegative = 20.0
+    edge_x: Range = EDGE_X
+    edge_y: Range = EDGE_Y
 
     def __post_init__(self) -> None:
         check_fields(self)

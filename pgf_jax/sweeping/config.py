@@ -247,6 +247,7 @@ class SweepConfig:
             )
         if self.log is not None and self.seeds is not None:
             raise BadInput("seeds: a recorded session has one of its own; leave them out")
+        self.planner()
         for cell in self.cells():
             self.fleet(cell)
 

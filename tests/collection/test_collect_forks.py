@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 import pytest
 from coroutines import native, run, stepped, traced
+from registered import registered
 
 import pgf_jax.guidance.operators.registry as operators
 from pgf_jax.batching.requests import Step, robot_key_path, trial_key_path
@@ -54,13 +55,12 @@ class Quiet:
 
 
 @pytest.fixture(autouse=True, scope="module")
-def registered():
+def toys():
     """The operators of these tests; and in this process futures are short, to save time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(forks_module, "LOOK_AHEAD", SHORT)
-        patch.setitem(operators._OPERATORS, "aside", Aside)
-        patch.setitem(operators._OPERATORS, "quiet", Quiet)
-        yield
+        with registered(operators.OPERATORS, aside=Aside, quiet=Quiet):
+            yield
 
 
 def settings(out: Path, **changes) -> CollectConfig:
@@ -80,7 +80,7 @@ def settings(out: Path, **changes) -> CollectConfig:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory, registered) -> Path:
+def whole(tmp_path_factory, toys) -> Path:
     out = tmp_path_factory.mktemp("forks")
     done = collect(settings(out))
     forks = read_forks(done.path)

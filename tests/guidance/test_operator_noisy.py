@@ -230,7 +230,7 @@ def test_the_bounds_are_those_of_the_heuristic():
 def test_it_is_made_by_its_name():
     assert make_operator("noisy") == NoisyOperator(wrong=0.2, misplaced=0.3, sd_m=0.04)
     assert make_operator("noisy").name == "noisy"
-    with pytest.raises(BadInput, match=r"unknown operator 'noisy:0.5'"):
+    with pytest.raises(BadInput, match=r"operator: expected .*, got 'noisy:0.5'"):
         make_operator("noisy:0.5")
 
 

@@ -16,6 +16,7 @@ from coroutines import (
     turn,
     unsolved,
 )
+from registered import registered
 
 from pgf_jax.batching.requests import (
     NOISE,
@@ -26,6 +27,7 @@ from pgf_jax.batching.requests import (
     robot_key_path,
     trial_key_path,
 )
+from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.policies import once_after
 from pgf_jax.guidance.operators import heuristic, oracle, registry
 from pgf_jax.guidance.operators.base import NoOperator, ask_operator
@@ -48,19 +50,18 @@ def cost(search) -> float:
 def recorded_rows(seed: int, operator) -> list[dict]:
     """Rows that a fleet of one robot records after its only request, made after iteration 4."""
     planner_service = native()
-    registry._OPERATORS["given"] = lambda: operator
-    try:
+    config = FleetConfig(
+        tasks=1,
+        policy=once_after(DONE - 1),
+        task_limit_s=120.0,
+        service_mean_s=0.0,
+        service_sd_s=0.0,
+        seed=seed,
+    )
+    with registered(registry.OPERATORS, given=lambda: operator):
         planned = single_robot(
-            planner_service,
-            sample_scene(seed, "tight"),
-            seed,
-            operator="given",
-            policy=once_after(DONE - 1),
-            task_limit_s=120.0,
-            service_s=(0.0, 0.0),
+            planner_service, sample_scene(seed, "tight"), config, operator="given"
         )
-    finally:
-        del registry._OPERATORS["given"]
     (done,) = run_fleets([planned], planner_service)
     rows = done.robots.robots[0].log.frame().rows(named=True)
     assert [row["iteration"] for row in rows if row["asked_before"]] == [DONE]

@@ -1,15 +1,16 @@
 import numpy as np
 import pytest
 from physics_cases import PHYSICS, idle, world
+from registered import registered
 
 from pgf_jax.errors import BadInput
 from pgf_jax.physics.config import PHYSICS as PRESETS
-from pgf_jax.physics.engine import engine_names, make_engine, register_engine
+from pgf_jax.physics.engine import ENGINES, engine_names, make_engine, register_engine
 
 
 @pytest.mark.parametrize("name", ["warp", "", "MJX", "pgf_jax.physics.native:NativeEngine"])
 def test_unknown_engine(name):
-    with pytest.raises(BadInput, match=f"unknown engine '{name}': expected one of .*mjx, native"):
+    with pytest.raises(BadInput, match=f"engine: expected one of .*mjx, native.*, got '{name}'"):
         make_engine(name)
 
 
@@ -21,22 +22,28 @@ def test_sizes_must_be_positive(name, sizes):
 
 
 def test_a_registered_engine_is_made_by_name():
-    from pgf_jax.physics import engine
-
-    made = []
+    made, engine = [], make_engine("native", n_objects=1)
 
     def make(physics, n_objects, *, lanes, flavour="plain"):
         made.append((physics, n_objects, lanes, flavour))
-        return made
+        return engine
 
-    register_engine("test_engine", make)  # pyright: ignore[reportArgumentType]
-    try:
+    with registered(ENGINES, test_engine=make):
         assert "test_engine" in engine_names()
-        assert make_engine("test_engine", n_objects=7, lanes=3, flavour="sour") is made
+        assert make_engine("test_engine", n_objects=7, lanes=3, flavour="sour") is engine
         make_engine("test_engine", physics=PRESETS["paper"])
-    finally:
-        del engine._ENGINES["test_engine"]
     assert made == [(PHYSICS, 7, 3, "sour"), (PRESETS["paper"], 20, 1, "plain")]
+
+
+def test_what_is_no_engine_is_named():
+    with registered(ENGINES, nothing=lambda *_, **__: (1, 2)):  # noqa: SIM117
+        with pytest.raises(BadInput, match=r"^engine 'nothing': \(1, 2\) has no rollout"):
+            make_engine("nothing")
+
+
+def test_an_engine_is_registered_once():
+    with pytest.raises(BadInput, match=r"^engine 'planar' is registered already; .*replace=True"):
+        register_engine("planar", dict)  # pyright: ignore[reportArgumentType]
 
 
 def test_engines_keep_what_they_are_made_of():

@@ -1,12 +1,15 @@
 """When a person is asked: `after:N` and `once-after:N` on stub robots, worked by hand."""
 
 import pytest
+from registered import registered
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Fleet, FleetConfig, TaskRecord
 from pgf_jax.fleet.policies import after, check_ask, once_after
 from pgf_jax.fleet.robots import Work
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
+from pgf_jax.guidance.operators.base import NoOperator
+from pgf_jax.guidance.operators.registry import OPERATORS
 from pgf_jax.planning.types import Push, Status
 from pgf_jax.plans.config import PlanConfig
 
@@ -117,8 +120,6 @@ def test_a_wrong_ask_is_refused(ask):
         ("somebody", "after:3", "after:3"),
     ],
 )
-def test_asks_name_policies(operator, ask, policy, monkeypatch):
-    monkeypatch.setattr(
-        "pgf_jax.guidance.operators.registry.operator_names", lambda: ["none", "somebody"]
-    )
-    assert PlanConfig(operator=operator, ask=ask).policy == policy
+def test_asks_name_policies(operator, ask, policy):
+    with registered(OPERATORS, somebody=NoOperator):
+        assert PlanConfig(operator=operator, ask=ask).policy == policy

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from registered import registered
 
 import pgf_jax.guidance.operators.registry as operators
 from pgf_jax.batching.planner_service import planner_service_of
@@ -42,9 +43,9 @@ class Aside:
 
 
 @pytest.fixture
-def aside(monkeypatch):
-    monkeypatch.setitem(operators._OPERATORS, "aside", Aside)
-    return dataclasses.replace(NATIVE, operator="aside", ask="after:1")
+def aside():
+    with registered(operators.OPERATORS, aside=Aside):
+        yield dataclasses.replace(NATIVE, operator="aside", ask="after:1")
 
 
 @pytest.fixture(scope="module")

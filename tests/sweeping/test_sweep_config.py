@@ -5,21 +5,28 @@ import sys
 from pathlib import Path
 
 import pytest
-import tyro
 
+from pgf_jax.arguments import parse
+from pgf_jax.collection.config import CollectConfig
 from pgf_jax.errors import BadInput
-from pgf_jax.fleet.config import Cell
+from pgf_jax.fleet.config import Cell, FleetConfig
 from pgf_jax.fleet.policies import policy_names
+from pgf_jax.planning.config import Cost, Planner, planner_of
+from pgf_jax.plans.config import PlanConfig
 from pgf_jax.sweeping.config import HOW, INPUTS, SweepConfig
+
+
+def parsed(*words: str) -> SweepConfig:
+    return parse(SweepConfig, words, "sweep")
 
 
 def test_quick_is_forty_tasks():
     config = SweepConfig(preset="quick", seed=5, engine="native")
     assert config.cells() == (
-        Cell("pgf", 1, 4),
-        Cell("pgf", 4, 4),
-        Cell("or-hitl", 1, 4),
-        Cell("or-hitl", 4, 4),
+        Cell("pgf", 1, 4, 5),
+        Cell("pgf", 4, 4, 5),
+        Cell("or-hitl", 1, 4, 5),
+        Cell("or-hitl", 4, 4, 5),
     )
     assert sum(cell.robots * cell.tasks for cell in config.cells()) == 40
     assert config.sampled_class() == "tight"
@@ -29,6 +36,7 @@ def test_quick_is_forty_tasks():
         policies=("pgf", "or-hitl"),
         tasks=4,
         scene_class="tight",
+        seed=5,
     )
     assert spelled_out.cells() == config.cells()
 
@@ -63,12 +71,53 @@ def test_fleet_takes_over_every_time():
         compute="shared:96",
         horizon=3600.0,
         seed=7,
+        bid_threshold=2.5,
+        task_limit=90.0,
+        push_limit=12.0,
+        push_execution=2.0,
+        retreat=0.5,
+        reach_execution=4.0,
+        rollouts=16,
     )
-    fleet = config.fleet(Cell("or-hitl", 20, 50))
+    fleet = config.fleet(Cell("or-hitl", 20, 50, 7))
     assert (fleet.robots, fleet.tasks, fleet.policy, fleet.seed) == (20, 50, "or-hitl", 7)
     assert (fleet.operators, fleet.service_mean_s, fleet.service_sd_s) == (2, 5.0, 1.0)
     assert (fleet.context_switch_s, fleet.window_s, fleet.rollout_time_s) == (0.5, 3.0, 0.75)
     assert (fleet.compute, fleet.horizon_s) == ("shared:96", 3600.0)
+    assert (fleet.bid_threshold, fleet.task_limit_s, fleet.push_limit_s) == (2.5, 90.0, 12.0)
+    times = (fleet.push_execution_s, fleet.retreat_s, fleet.reach_execution_s)
+    assert times == (2.0, 0.5, 4.0) and fleet.rollouts == 16
+
+
+def test_every_setting_of_the_fleet_and_the_planner_can_be_reached():
+    """And where it is left out, it has the value that was built in before it could be given."""
+    ours = {field.name for field in dataclasses.fields(SweepConfig)}
+    fleet = {field.name.removesuffix("_s") for field in dataclasses.fields(FleetConfig)}
+    planner = {field.name for field in dataclasses.fields(Planner)}
+    assert fleet - ours == {"policy"} and planner <= ours
+    cell = Cell("pgf", 1, 50)
+    assert SweepConfig().fleet(cell) == FleetConfig()
+    assert SweepConfig().planner() == Planner() == planner_of(PlanConfig())
+    assert PlanConfig(operator="heuristic", ask="gain").fleet(0) == FleetConfig(tasks=1)
+    assert planner_of(CollectConfig("autonomous", Path("x"), scenes=1)) == Planner()
+    given = SweepConfig(
+        rollouts=4,
+        sigma=(0.1, 0.2, 0.3),
+        stuck_count=3,
+        cost_weights=("w_d=2000", "edge_x=0.1,0.5"),
+    )
+    cost = Cost(w_d=2000.0, edge_x=(0.1, 0.5))
+    assert given.planner() == Planner(4, sigma=(0.1, 0.2, 0.3), stuck_count=3, cost=cost)
+
+
+def test_several_seeds_are_fleets_of_their_own():
+    config = SweepConfig(robots=(1, 2), policies=("pgf",), tasks=1, seeds=(3, 0))
+    sizes = [(cell.robots, cell.seed) for cell in config.cells()]
+    assert sizes == [(1, 3), (1, 0), (2, 3), (2, 0)]
+    assert [config.fleet(cell).seed for cell in config.cells()] == [3, 0, 3, 0]
+    assert SweepConfig(seeds=(5,)) == SweepConfig(seed=5)
+    own = config.of_cell(config.cells()[0])
+    assert own["seed"] == 3 and "seeds" not in own
 
 
 def test_lanes_are_a_constant_of_the_engine():
@@ -90,7 +139,7 @@ def test_planar_gets_a_process_a_core(monkeypatch):
 
 def test_every_policy_can_be_swept():
     """`oracle-gain` as well, which needs no network."""
-    config = SweepConfig(policies=policy_names(), robots=(1,), tasks=1)
+    config = SweepConfig(policies=tuple(policy_names()), robots=(1,), tasks=1)
     assert {"oracle-gain", "classifier", "random"} < {cell.policy for cell in config.cells()}
     for policy in ("oracle-gain", "or-hitl"):
         assert not SweepConfig(policies=(policy,)).needs_gains()
@@ -149,6 +198,17 @@ def test_a_random_winner_reaches_the_planner():
         ({"preset": "quick", "scene_class": "wide"}, "scene_class: fixed at tight by"),
         ({"preset": "quick", "scene_class": "all"}, "scene_class: fixed at tight by"),
         ({"preset": "quick", "scenes": Path("x")}, "scenes: the preset quick samples its own"),
+        ({"scenes": []}, "scenes: expected one or more, got none"),
+        ({"scenes": ["x.xml"]}, "scenes: expected a Scene, got 'x.xml'"),
+        ({"seeds": (1, 1)}, "seeds: expected one or more, all different, got 1 1"),
+        ({"seeds": (1, 2), "seed": 3}, "seed: expected none beside seeds, got 3"),
+        ({"sigma": (0.1, 0.1)}, r"sigma: expected three numbers \(x, y, turn\), got"),
+        ({"sigma": (0.1, 0.1, -1)}, "sigma: expected a number 0 or more, got -1"),
+        ({"cost_weights": ("w_d",)}, "cost_weights: expected w_d=NUMBER once, got 'w_d'"),
+        ({"cost_weights": ("w_x=1",)}, "cost_weights: expected one of w_d, .*, got 'w_x'"),
+        ({"cost_weights": ("w_d=1", "w_d=2")}, "cost_weights: expected w_d=NUMBER once"),
+        ({"cost_weights": ("w_d=nan",)}, "w_d: expected a number"),
+        ({"cost_weights": ("edge_x=1",)}, "cost_weights: expected edge_x=LOW,HIGH once"),
     ],
 )
 def test_bad_values_are_named_in_one_line(changes, message):
@@ -165,7 +225,7 @@ def test_command_line_flags():
         "--rollout-time 1 --compute shared:96 --predictor p --horizon 100 --workers 2 "
         "--lanes 5 --out o --resume"
     )
-    config = tyro.cli(SweepConfig, args=words.split())
+    config = parsed(*words.split())
     assert config == SweepConfig(
         preset="paper",
         robots=(1, 10),
@@ -191,10 +251,14 @@ def test_command_line_flags():
         out=Path("o"),
         resume=True,
     )
-    assert tyro.cli(SweepConfig, args=["--scenes", "d"]).scenes == Path("d")
+    assert parsed("--scenes", "d").scenes == Path("d")
     words = ["--scene-class", "all", "--random-winner", "0.25", "--policies", "oracle-gain"]
-    assert tyro.cli(SweepConfig, args=words) == SweepConfig(
+    assert parsed(*words) == SweepConfig(
         scene_class="all", random_winner=0.25, policies=("oracle-gain",)
+    )
+    words = "--seeds 2 1 --rollouts 4 --sigma 0.1 0.2 0.3 --cost-weights w_d=2 w_b=1"
+    assert parsed(*words.split()) == SweepConfig(
+        seeds=(2, 1), rollouts=4, sigma=(0.1, 0.2, 0.3), cost_weights=("w_d=2", "w_b=1")
     )
 
 
@@ -212,7 +276,7 @@ def test_the_settings_of_one_cell():
     )
     own = config.of_cell(config.cells()[1])
     names = {field.name for field in dataclasses.fields(SweepConfig)}
-    assert names - own.keys() == {*HOW, *INPUTS} and own.keys() <= names
+    assert names - own.keys() == {*HOW, *INPUTS, "seeds"} and own.keys() <= names
     assert (own["robots"], own["policies"], own["tasks"]) == ([4], ["pgf"], 4)
     assert (own["scene_class"], own["lanes"], own["seed"]) == ("tight", 1, 5)
     assert config.inputs() == {"scenes": None, "predictor": "best", "log": None}
@@ -227,7 +291,7 @@ def test_the_settings_of_one_cell():
 @pytest.mark.parametrize("scheduler", ["tcp://here:1", "tls://10.0.0.1:8786", "slurm:12"])
 def test_schedulers(scheduler):
     config = SweepConfig(scheduler=scheduler)
-    assert config == tyro.cli(SweepConfig, args=["--scheduler", scheduler])
+    assert config == parsed("--scheduler", scheduler)
 
 
 @pytest.mark.parametrize(

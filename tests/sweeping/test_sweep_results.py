@@ -256,7 +256,8 @@ def test_summary_table_fits_a_terminal():
 def spec(sweep: int, *sizes) -> CellSpec:
     """A cell of a sweep, of which a report needs no more than policy and sizes."""
     fleet: Any = None
-    return CellSpec(sweep, Cell(*sizes), "", {}, fleet, {}, {}, Path("x"))
+    cell = Cell(*sizes)
+    return CellSpec(sweep, cell, cell.name, "", {}, fleet, {}, {}, Path("x"))
 
 
 def test_progress_without_a_terminal_is_lines():
