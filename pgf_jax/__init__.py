@@ -39,36 +39,38 @@ if TYPE_CHECKING:
     from pgf_jax.scene.sampling import sample_scene as sample_scene
     from pgf_jax.scene.scene import Scene as Scene
     from pgf_jax.sweeping.config import SweepConfig as SweepConfig
+    from pgf_jax.sweeping.load import load_sweep as load_sweep
     from pgf_jax.sweeping.sweep import sweep as sweep
     from pgf_jax.sweeping.sweep import sweeps as sweeps
     from pgf_jax.training.config import TrainConfig as TrainConfig
     from pgf_jax.training.train import train as train
 
 _MODULES = {
-    "Rollout": "physics.engine",
-    "View": "guidance.view",
-    "PolicyBase": "fleet.policies",
-    "Discipline": "fleet.policies",
-    "register_policy": "fleet.policies",
-    "register_operator": "guidance.operators.registry",
-    "register_engine": "physics.engine",
     "BadInput": "errors",
     "CollectConfig": "collection.config",
+    "Discipline": "fleet.policies",
     "FleetConfig": "fleet.config",
     "Physics": "physics.config",
     "Plan": "plans.file",
     "PlanConfig": "plans.config",
+    "PolicyBase": "fleet.policies",
     "Push": "planning.types",
+    "Rollout": "physics.engine",
     "Scene": "scene.scene",
     "Status": "planning.types",
     "SweepConfig": "sweeping.config",
     "TrainConfig": "training.config",
     "VerifyConfig": "inspection.config",
+    "View": "guidance.view",
     "collect": "collection.collect",
     "load_plan": "plans.file",
     "load_scene": "scene.mjcf",
+    "load_sweep": "sweeping.load",
     "make_engine": "physics.engine",
     "plan": "plans.plan",
+    "register_engine": "physics.engine",
+    "register_operator": "guidance.operators.registry",
+    "register_policy": "fleet.policies",
     "sample_scene": "scene.sampling",
     "save_plan": "plans.file",
     "sweep": "sweeping.sweep",

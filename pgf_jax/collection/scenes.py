@@ -13,9 +13,10 @@ from pgf_jax.collection.fork import fork
 from pgf_jax.errors import WorkersLost
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.policies import once_after
-from pgf_jax.guidance.operators.registry import make_operator
+from pgf_jax.guidance.operators.registry import OPERATORS, make_operator
 from pgf_jax.parallel.local import LocalPool, Stopped, WorkerDied, report, stop_requested
-from pgf_jax.physics.engine import default_processes
+from pgf_jax.physics.engine import ENGINES, default_processes
+from pgf_jax.plugins.registry import check_importable
 from pgf_jax.scene.sampling import OBJECTS, sample_scene
 from pgf_jax.scene.scene import Scene
 from pgf_jax.simulation.loop import PlannedFleet, run_fleets
@@ -41,9 +42,19 @@ def run_scenes(dataset: Dataset, on_end: Callable[[], None]) -> None:
     if len(parts) == 1:
         _run_part((dataset, parts[0]), lambda index: on_end())
     elif parts:
+        config = dataset.config
+        used = ENGINES.plugin(config.engine), OPERATORS.plugin(config.operator)
+        plugins = [plugin for plugin in used if plugin is not None]
+        for plugin in plugins:
+            check_importable(plugin, "here")
         with LocalPool(len(parts), grace_s=_STORE_S) as pool:
             try:
-                pool.run(_run_part, [(dataset, part) for part in parts], lambda index: on_end())
+                pool.run(
+                    _run_part,
+                    [(dataset, part) for part in parts],
+                    lambda index: on_end(),
+                    plugins=plugins,
+                )
             except WorkerDied as error:
                 raise WorkersLost(
                     f"{error}; the runs that had been written are kept, and --resume goes on from "

@@ -6,11 +6,12 @@ from typing import Any
 from pgf_jax.files import json_bytes, write_atomically
 from pgf_jax.fleet.metrics import CellSummary, summarise
 from pgf_jax.simulation.runner import FleetRunner
+from pgf_jax.sweeping.columns import labelled
 from pgf_jax.sweeping.resolve import CellSpec
 from pgf_jax.sweeping.summary import csv, summary_frame
-from pgf_jax.tables.event_log import TABLE, Journal, write_log
-from pgf_jax.tables.parquet import encode_table
-from pgf_jax.tables.results import tasks_frame
+from pgf_jax.tables.event_log import TABLE, Journal
+from pgf_jax.tables.parquet import encode_table, write_table
+from pgf_jax.tables.results import events_frame, tasks_frame
 
 
 class SessionRecorder:
@@ -58,11 +59,14 @@ class SessionRecorder:
         self._runner.robots.finish()
         summary = summarise(self._cell.fleet.config, fleet.records, fleet.events)
         tasks = tasks_frame(fleet.records, self._cell.fleet.scenes.name)
+        of_fleet = self._cell.about()
         for name, data in {
-            "tasks.parquet": encode_table(tasks),
+            "tasks.parquet": encode_table(labelled(tasks, of_fleet), self._about),
             "summary.csv": csv(summary_frame([summary])),
             "session.json": json_bytes(self._about),
         }.items():
             write_atomically(self.folder / name, data)
-        write_log(self.folder / TABLE, fleet.events, self._about)
+        # Last: where there is such a table, the session has ended.
+        events = labelled(events_frame(fleet.events), of_fleet)
+        write_table(self.folder / TABLE, events, self._about)
         return summary

@@ -20,6 +20,7 @@ class ReproduceConfig:
       folder: folder of the sweep's results.
       policy: the fleet's policy; None: any.
       robots: fleet size; None: any.
+      seed: the fleet's seed, where the sweep has several; None: any.
       robot: number of the robot, from 0; None: any.
       task: number of its task, from 0; None: any.
       iteration: number of the iteration in the event log, from 0; None: the first with a rollout
@@ -30,6 +31,7 @@ class ReproduceConfig:
     folder: Positional[Path]
     policy: str | None = None
     robots: Count | None = None
+    seed: Seed | None = None
     robot: Index | None = None
     task: Index | None = None
     iteration: Index | None = None

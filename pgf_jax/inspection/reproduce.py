@@ -30,7 +30,10 @@ from pgf_jax.sweeping import cell_file
 from pgf_jax.sweeping.resolve import CellSpec, config_of, differences, resolve
 from pgf_jax.tables import results
 
-_INPUTS = ("scenes", "predictors", "log", "fleet", "planner", "physics", "engine", "lanes")
+_INPUTS = (
+    *("scenes", "predictors", "log", "plugins", "revisions"),
+    *("fleet", "planner", "physics", "engine", "lanes"),
+)
 
 
 def reproduce(
@@ -217,6 +220,8 @@ def _cells(config: ReproduceConfig) -> Iterator[tuple[Path, cell_file.Content]]:
         if config.policy is not None and settings.get("policies") != [config.policy]:
             continue
         if config.robots is not None and settings.get("robots") != [config.robots]:
+            continue
+        if config.seed is not None and settings.get("seed") != config.seed:
             continue
         yield file, content
 

@@ -3,7 +3,7 @@
 import dataclasses
 import secrets
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,8 +31,8 @@ class Recomputed(NamedTuple):
       name: of the cell.
       same: whether it came out bit for bit.
       words: how far it is off, and what is not as it was; empty where it is the same.
-      expected: whether it had to come out: the versions and the type of processor are the same,
-        or what it was computed from is not.
+      expected: whether it had to come out: versions, revisions and the type of processor are the
+        same, or what it was computed from is not.
     """
 
     path: Path
@@ -144,14 +144,24 @@ def _compared(path: Path, name: str, old: cell_file.Content, new: cell_file.Cont
     inputs = differences(*({name: each.get(name) for name in _INPUTS} for each in about))
     kind = differences(*({name: each.about.get(name) for name in _KIND} for each in (old, new)))
     code = differences(*({"code": _code(each.about.get("code"))} for each in (old, new)))
-    words = "; ".join(filter(None, [distance(old, new), inputs, kind, code]))
-    return Recomputed(path, name, False, words, bool(inputs) or not kind)
+    earlier = _revisions(*about)
+    words = "; ".join(filter(None, [distance(old, new), inputs, earlier, kind, code]))
+    return Recomputed(path, name, False, words, bool(inputs) or not (kind or earlier))
 
 
 # What an identity says of files: with others it is another question.
-_INPUTS = ("scenes", "predictors", "log")
+_INPUTS = ("scenes", "predictors", "log", "plugins")
 # What may change results without anybody's fault.
 _KIND = ("processor", "device", "versions")
+
+
+def _revisions(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """By which revisions of what is built in a cell was computed, where they are others now."""
+    then, now = (each.get("revisions") or {} for each in (old, new))
+    kinds = sorted(kind for kind in {*then, *now} if then.get(kind, 1) != now.get(kind, 1))
+    names = {"engine": new.get("engine"), "operator": new.get("operator")}
+    words = (f"{names.get(kind, kind)} {then.get(kind, 1)}" for kind in kinds)
+    return f"computed by {', '.join(words)}" if kinds else ""
 
 
 def _code(code: Any) -> str:

@@ -3,5 +3,5 @@
 `local.py` has the worker processes of this computer, `dask_executor.py` the workers of a Dask
 scheduler, which `cluster.py` opens where Dask is installed.
 
-Imports only the modules of helpers (`errors`, `cores`).
+Imports only `plugins` and the layers below it.
 """

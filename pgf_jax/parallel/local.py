@@ -19,6 +19,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from pgf_jax.cores import pin, usable
+from pgf_jax.plugins.registry import Plugin, require
 
 _POLL_S = 0.2
 
@@ -59,7 +60,12 @@ class LocalPool(Executor):
         return self._threads.submit(self._call, fn, args, kwargs)
 
     def run(
-        self, target: Callable[[Any], Any], parts: Sequence[Any], on_message: Callable[[Any], None]
+        self,
+        target: Callable[[Any], Any],
+        parts: Sequence[Any],
+        on_message: Callable[[Any], None],
+        *,
+        plugins: Sequence[Plugin] = (),
     ) -> list[Any]:
         """Run `target(part)` for each part, and wait for all of them.
 
@@ -68,6 +74,7 @@ class LocalPool(Executor):
             `stop_requested()` is true.
           parts: arguments; can be pickled, like messages and results.
           on_message: called here with each message.
+          plugins: what the target uses of plugins.
 
         Returns:
           The results, in the order of the parts.
@@ -79,7 +86,7 @@ class LocalPool(Executor):
         from pgf_jax.parallel.jax_settings import jax_settings
 
         self._stop.clear()
-        futures = [self.submit(_run_part, target, part, jax_settings()) for part in parts]
+        futures = [self.submit(_run_part, target, part, jax_settings(), plugins) for part in parts]
         try:
             while not all(future.done() for future in futures):
                 self._receive(on_message, _POLL_S)
@@ -192,8 +199,15 @@ def _watch_parent(grace_s: float) -> None:
         os._exit(1)
 
 
-def _run_part(target: Callable[[Any], Any], part: Any, settings: Mapping[str, Any]) -> Any:
+def _run_part(
+    target: Callable[[Any], Any],
+    part: Any,
+    settings: Mapping[str, Any],
+    plugins: Sequence[Plugin],
+) -> Any:
     from pgf_jax.parallel.jax_settings import adopt
 
     adopt(settings)
+    for plugin in plugins:
+        require(plugin, "worker process")
     return target(part)

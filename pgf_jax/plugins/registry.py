@@ -3,7 +3,7 @@
 import dataclasses
 import importlib
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 from pgf_jax.errors import BadInput, short_repr
@@ -180,12 +180,6 @@ def made_of(plugin: Plugin, made: Any) -> str:
         for module in sorted(packages_of(made) - {plugin.module}):
             parts.append(f"{module} {source_digest(module, made)}")
     return sha256("\n".join(parts).encode())
-
-
-def registered_plugins() -> Iterator[Plugin]:
-    """All objects of plugins that are registered here."""
-    for registry in REGISTRIES.values():
-        yield from (entry.plugin for entry in registry._entries.values() if entry.plugin)
 
 
 # -- in worker processes -------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from pgf_jax.parallel.local import LocalPool
 from pgf_jax.plugins.digest import is_interactive
 from pgf_jax.plugins.registry import check_importable
 from pgf_jax.simulation.recorded_operator import LIVE
-from pgf_jax.sweeping import cell_file
+from pgf_jax.sweeping import cell_file, columns
 from pgf_jax.sweeping.cell_store import MANIFEST, RESULTS, RUN, CellStore
 from pgf_jax.sweeping.config import SweepConfig
 from pgf_jax.sweeping.dispatch import dispatch
@@ -65,11 +65,11 @@ class SweepResult:
 
     def tasks(self) -> pl.DataFrame:
         """`tasks.parquet`: one row a task."""
-        return results.read_results(self.out / "tasks.parquet", results.MERGED_TASK_SCHEMA)
+        return results.read_results(self.out / "tasks.parquet", columns.TASK_SCHEMA)
 
     def events(self) -> pl.DataFrame:
         """`events.parquet`: one row an event."""
-        return results.read_results(self.out / "events.parquet", results.MERGED_EVENT_SCHEMA)
+        return results.read_results(self.out / "events.parquet", columns.EVENT_SCHEMA)
 
     def cell(self, cell: Cell) -> cell_file.Content:
         """One cell's tables, and where they come from."""
@@ -281,11 +281,9 @@ def merged_files(
 ) -> dict[str, bytes]:
     """The files of `RESULTS`, from the cells."""
     origin = about(sweep)
-    tasks = results.merge([(cell, content.tasks) for cell, content in tables.items()])
-    events = results.merge([(cell, content.events) for cell, content in tables.items()])
     content = (
-        encode_table(tasks, origin),
-        encode_table(events, origin),
+        encode_table(columns.merged(tables.values(), "tasks"), origin),
+        encode_table(columns.merged(tables.values(), "events"), origin),
         csv(summary_frame(summaries)),
         csv(paired_frame(paired)),
         png(figure6(summaries), origin),

@@ -2,8 +2,8 @@
 
 A session writes the journal `events.jsonl` while it runs: a first line (the header) with everything
 that the session depends on, then one line for each event, with the columns that apply. The table
-`events.parquet` holds the same events. Sweeps write such tables too: of one fleet, or of several
-with the columns `policy` and `robots`.
+`events.parquet` holds the same events, with columns that say which fleet they are of. Sweeps write
+such tables too, of many fleets.
 """
 
 import contextlib
@@ -31,13 +31,12 @@ from pgf_jax.files import (
     write_atomically,
 )
 from pgf_jax.fleet.events import Event, EventKind
-from pgf_jax.tables.parquet import LARGEST, decode_table, provenance, write_table
+from pgf_jax.tables.parquet import LARGEST, decode_table, provenance
 from pgf_jax.tables.results import (
     EVENT_SCHEMA,
     MERGED_EVENT_SCHEMA,
     conform,
     event_log,
-    events_frame,
 )
 
 JOURNAL, TABLE = "events.jsonl", "events.parquet"
@@ -103,22 +102,15 @@ def read_log(path: Path | str) -> EventLog:
     if path.suffix == ".jsonl":
         return _read_journal(path)
     frame, metadata = _read_table(path)
-    about = {}
-    if "policy" not in frame.columns:
-        fleets = [event_log(frame)]
-        about = _provenance(metadata, path)
-    else:
-        parts = frame.partition_by("policy", "robots", maintain_order=True)
-        fleets = [event_log(part.select(list(EVENT_SCHEMA))) for part in parts]
+    about = _provenance(metadata, path)
+    # The other columns say which fleet a row is of: policy, size, seed, and other settings.
+    of_fleet = [name for name in frame.columns if name not in EVENT_SCHEMA]
+    parts = frame.partition_by(of_fleet, maintain_order=True) if of_fleet else [frame]
+    fleets = [event_log(part) for part in parts]
     for events in fleets:
         for number, event in enumerate(events):
             _check(event, events[number - 1] if number else None, f"{path}: row {number + 1}")
     return EventLog(path, fleets, about)
-
-
-def write_log(path: Path, events: Iterable[Event], about: Mapping[str, Any]) -> None:
-    """Write the log of a session as a table, with its header as provenance."""
-    write_table(path, events_frame(events), about)
 
 
 def first_difference(events: Sequence[Event], log: Sequence[Event]) -> int | None:
@@ -244,7 +236,7 @@ def _checked(about: dict[str, Any], where: str) -> dict[str, Any]:
 def _read_table(path: Path) -> tuple[pl.DataFrame, Mapping[str, str]]:
     frame, metadata = decode_table(read_file(path, _EXPECTED, LARGEST), path)
     schema = MERGED_EVENT_SCHEMA if "policy" in frame.columns else EVENT_SCHEMA
-    return conform(frame, path, schema), metadata
+    return conform(frame, path, schema, others=True), metadata
 
 
 def _provenance(metadata: Mapping[str, str], path: Path) -> Mapping[str, Any]:

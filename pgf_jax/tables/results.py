@@ -2,8 +2,8 @@
 
 A fleet's tables hold one row for each `TaskRecord` (by robot and task) and one for each `Event` (in
 the order of the log). The merged tables of a sweep hold the rows of all cells, with the columns
-`policy` and `robots` first. A value that does not apply is null. Nothing in them depends on the
-speed of the computer.
+`policy` and `robots` first, and those of other settings last. A value that does not apply is null.
+Nothing in them depends on the speed of the computer.
 """
 
 import dataclasses
@@ -182,8 +182,16 @@ def _decode(data: bytes, path: Path, schema: Mapping[str, pl.DataType]) -> pl.Da
     return conform(decode_table(data, path)[0], path, schema)
 
 
-def conform(frame: pl.DataFrame, path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
+def conform(
+    frame: pl.DataFrame, path: Path, schema: Mapping[str, pl.DataType], *, others: bool = False
+) -> pl.DataFrame:
     """Check a table's columns and values.
+
+    Args:
+      frame: the table.
+      path: its file, for messages.
+      schema: columns that it must have.
+      others: keep its other columns, too.
 
     Returns:
       The table with the schema's columns, in its order.
@@ -197,7 +205,8 @@ def conform(frame: pl.DataFrame, path: Path, schema: Mapping[str, pl.DataType]) 
             found = frame.schema.get(column, "nothing")
             raise BadInput(f"{path}: column {column} must be {dtype}, got {found}")
     # In a table of tasks only `_OPTIONAL` columns may be null; in one of events all but these.
-    needed = ("time_ns", "kind", *_CELL_COLUMNS) if "kind" in schema else set(schema) - _OPTIONAL
+    of_tasks = {*_CELL_COLUMNS, *TASK_SCHEMA} - _OPTIONAL
+    needed = ("time_ns", "kind", *_CELL_COLUMNS) if "kind" in schema else of_tasks
     for column in schema:
         nulls = frame[column].null_count()
         if column in _COUNTS:
@@ -209,4 +218,4 @@ def conform(frame: pl.DataFrame, path: Path, schema: Mapping[str, pl.DataType]) 
         if unknown:
             what = "kind of event" if column == "kind" else column
             raise BadInput(f"{path}: unknown {what} {short_repr(min(unknown))}")
-    return frame.select(list(schema))
+    return frame if others else frame.select(list(schema))

@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 from sweep_toys import ghost, write_scene  # registers the toys
+from write_log import write_log
 
 from pgf_jax import cli
 from pgf_jax.collection import sessions
@@ -20,7 +21,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.planning.types import UNANSWERED, Push, Status
 from pgf_jax.sweeping.sweep import sweep
-from pgf_jax.tables.event_log import JOURNAL, TABLE, digest, read_log, write_log
+from pgf_jax.tables.event_log import JOURNAL, TABLE, digest, read_log
 from pgf_jax.tables.parquet import encode_table, read_provenance
 from pgf_jax.tables.runs import Mode, read_runs, runs_path
 from pgf_jax.training.config import TrainConfig

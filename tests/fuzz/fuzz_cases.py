@@ -18,6 +18,7 @@ from typing import Any
 import fuzz_mutate as mutate
 import numpy as np
 import polars as pl
+from write_log import write_log
 
 from pgf_jax.collection import dataset
 from pgf_jax.errors import BadInput
@@ -232,7 +233,7 @@ def event_tables() -> list[bytes]:
         [(Cell(policy, 2, 1), results.events_frame(EVENTS)) for policy in ("pgf", "or-hitl")]
     )
     return [
-        _written(lambda path: event_log.write_log(path, EVENTS, about())),
+        _written(lambda path: write_log(path, EVENTS, about())),
         encode_table(results.events_frame(EVENTS)),
         encode_table(merged),
     ]

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
+from write_log import write_log
 
 from pgf_jax.cli import main
 from pgf_jax.errors import BadInput
@@ -23,7 +24,7 @@ from pgf_jax.operator_fit.lognormal import Service, ServiceSample, fit
 from pgf_jax.planning.types import UNANSWERED, Push
 from pgf_jax.sweeping.config import SweepConfig
 from pgf_jax.tables import results
-from pgf_jax.tables.event_log import Journal, write_log
+from pgf_jax.tables.event_log import Journal
 from pgf_jax.tables.parquet import encode_table
 
 MEAN, SD = 8.0, 4.0

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sweep_toys import ghost
+from write_log import write_log
 
 import pgf_jax
 from pgf_jax.console.live_operator import InputRequest, LiveOperator
@@ -32,7 +33,7 @@ from pgf_jax.sweeping.replay import (
 from pgf_jax.sweeping.resolve import resolve
 from pgf_jax.sweeping.sweep import sweeps
 from pgf_jax.tables import results
-from pgf_jax.tables.event_log import JOURNAL, TABLE, EventLog, Journal, digest, line, write_log
+from pgf_jax.tables.event_log import JOURNAL, TABLE, EventLog, Journal, digest, line
 from pgf_jax.tables.parquet import encode_table
 
 S = 10**9

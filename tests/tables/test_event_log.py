@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from write_log import write_log
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Event, EventKind
@@ -25,7 +26,6 @@ from pgf_jax.tables.event_log import (
     first_difference,
     line,
     read_log,
-    write_log,
 )
 from pgf_jax.tables.parquet import encode_table, write_table
 
