@@ -199,7 +199,8 @@ def _against_manifest(
 def _in_manifest(manifest: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[str, Any]:
     """The values that a manifest has for a cell, by name."""
     said = {name: manifest.get(name) for name in _COMMON}
-    said["seed"] = cell.get("seed", said["seed"])
+    if said["seed"] is None:  # the sweep has several
+        said["seed"] = cell.get("seed")
     versions = said["versions"]
     if isinstance(versions, dict):  # an identity has those that decide
         said["versions"] = {
