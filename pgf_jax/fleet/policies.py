@@ -229,7 +229,7 @@ def register_policy(
     Raises:
       BadInput: the name is taken; or neither a source nor a version is there.
     """
-    POLICIES.register(name, factory, module=caller(), version=version, replace=replace)
+    POLICIES.register(name, factory, caller=caller(), version=version, replace=replace)
 
 
 def check_policy(name: str, field: str = "policy") -> None:

@@ -108,7 +108,7 @@ def register_engine(
     Raises:
       BadInput: the name is taken; or neither a source nor a version is there.
     """
-    ENGINES.register(name, make, module=caller(), version=version, replace=replace)
+    ENGINES.register(name, make, caller=caller(), version=version, replace=replace)
 
 
 def engine_names() -> list[str]:

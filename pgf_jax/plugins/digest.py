@@ -36,27 +36,27 @@ def module_name(module: str) -> str:
 
 def is_interactive(module: str) -> bool:
     """Whether a module is a notebook or a prompt, which no other process can import."""
-    return module in MAIN and getattr(sys.modules.get(module), "__file__", None) is None
+    return module == MAIN[0] and getattr(sys.modules.get(module), "__file__", None) is None
 
 
-def source_digest(module: str, make: Any) -> str | None:
+def source_digest(module: str, make: Any, file: str | None = None) -> str | None:
     """The digest of the package that holds a module.
 
     Args:
       module: that registers an object, as `module_name` gives it.
       make: what it registers; in a notebook its code counts, and that of what it uses.
+      file: of the module, where that is the main script; None: a notebook or a prompt.
 
     Returns:
       Hex digits; None where there is neither a file nor Python code to see.
     """
-    if is_interactive(module):
+    if module == MAIN[0] and file is None:
         return _code_digest(make)
-    top = module.partition(".")[0]
-    loaded = sys.modules.get(top)
-    folders = [*(getattr(loaded, "__path__", None) or ())]
-    file = getattr(loaded, "__file__", None)
+    loaded = None if module == MAIN[0] else sys.modules.get(module.partition(".")[0])
+    folders = getattr(loaded, "__path__", None)
     if folders:
         return _files_digest(tuple(folders))
+    file = getattr(loaded, "__file__", file)
     return None if file is None else sha256(Path(file).read_bytes())
 
 

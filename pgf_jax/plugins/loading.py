@@ -10,6 +10,7 @@ from importlib.metadata import entry_points
 from pgf_jax.errors import BadInput, short_repr
 
 GROUP = "pgf_jax.plugins"  # of entry points, by which installed packages name their modules
+_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*")
 _state = {"installed": False}
 
 
@@ -22,9 +23,10 @@ def load_plugin(module: str) -> None:
     Raises:
       BadInput: one line that names the module: there is none, or it cannot be imported.
     """
-    if not isinstance(module, str) or re.fullmatch(r"[^\W\d]\w*(\.[^\W\d]\w*)*", module) is None:
+    is_file = str(module).endswith(".py")
+    if not isinstance(module, str) or is_file or _NAME.fullmatch(module) is None:
         hint = ""
-        if str(module).endswith(".py"):
+        if is_file:
             hint = f"; did you mean {str(module).removesuffix('.py').replace('/', '.')}?"
         raise BadInput(
             f"plugin: expected the name of a module, as in my_package.policies, got "

@@ -4,7 +4,7 @@ import dataclasses
 import importlib
 import sys
 from collections.abc import Callable, Mapping
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import sha256
@@ -79,7 +79,7 @@ class Registry(Generic[Make]):
         self._entries.setdefault(name, _Entry(make))
 
     def register(
-        self, name: str, make: Make, *, module: str, version: str | None, replace: bool
+        self, name: str, make: Make, *, caller: "Caller", version: str | None, replace: bool
     ) -> None:
         """Add an object of a plugin; for the arguments see `register_policy` and its like.
 
@@ -101,13 +101,13 @@ class Registry(Generic[Make]):
                 f"{self.kind} {name!r} is registered already; expected another name, or "
                 "replace=True"
             )
-        source = None if version is not None else source_digest(module, make)
+        source = None if version is not None else source_digest(caller.module, make, caller.file)
         if version is None and source is None:
             raise BadInput(
                 f"register_{self.kind}: {name!r}: cannot see its source, so that results could not "
                 "say what made them; expected version='1', raised when what it does changes"
             )
-        self._entries[name] = _Entry(make, Plugin(self.kind, name, module, version, source))
+        self._entries[name] = _Entry(make, Plugin(self.kind, name, caller.module, version, source))
 
     def unregister(self, name: str) -> None:
         """Remove an object."""
@@ -151,9 +151,22 @@ class Registry(Generic[Make]):
 REGISTRIES: dict[str, "Registry[Any]"] = {}
 
 
-def caller() -> str:
-    """Name of the module that calls the function that calls this."""
-    return module_name(sys._getframe(2).f_globals.get("__name__", ""))
+class Caller(NamedTuple):
+    """The module that registers something.
+
+    Attributes:
+      module: its name.
+      file: of its source; None where it has none.
+    """
+
+    module: str
+    file: str | None
+
+
+def caller() -> Caller:
+    """The module that calls the function that calls this."""
+    names = sys._getframe(2).f_globals
+    return Caller(module_name(names.get("__name__", "")), names.get("__file__"))
 
 
 def made_of(plugin: Plugin, made: Any) -> str:
@@ -178,7 +191,8 @@ def made_of(plugin: Plugin, made: Any) -> str:
             ) from None
     if plugin.version is None:
         for module in sorted(packages_of(made) - {plugin.module}):
-            parts.append(f"{module} {source_digest(module, made)}")
+            file = getattr(sys.modules.get(module), "__file__", None)
+            parts.append(f"{module} {source_digest(module, type(made), file)}")
     return sha256("\n".join(parts).encode())
 
 

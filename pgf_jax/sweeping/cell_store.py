@@ -29,8 +29,7 @@ class CellStore:
       sweep: the sweep.
       kept: its cells that are finished and will not be computed again.
       missing: its other cells.
-      changed: of these, the ones whose file is of another version of a plugin: it is removed, and
-        they are computed again.
+      changed: of these, the ones of which there is a file of another version of a plugin.
 
     Raises:
       BadInput: the folder holds results of another configuration, or files of unknown origin; or,
@@ -61,12 +60,19 @@ class CellStore:
             for folder in (self.out, self.out / cell_file.FOLDER):
                 if not os.access(folder, os.W_OK | os.X_OK):
                     raise BadInput(f"out: {self.out} cannot be written to")
-            for file in self._old:
-                cell_file.remove(file)
             scenes = self.sweep.config.scenes
             if isinstance(scenes, tuple):
                 save_scenes(self.out / SCENES, scenes)
             yield
+
+    def remove_changed(self) -> None:
+        """Remove the files of another version of a plugin, when what replaces them is there.
+
+        Raises:
+          BadInput: one cannot be removed.
+        """
+        for file in self._old:
+            cell_file.remove(file)
 
     def remove_merged(self) -> None:
         """Remove the merged results, which are made again when all cells are finished.

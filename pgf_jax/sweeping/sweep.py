@@ -153,6 +153,8 @@ def sweeps(
                 report.interrupted(*(config.out for config in configs))
                 raise
         wall_s = time.perf_counter() - start
+        for store in stores:
+            store.remove_changed()
         outcomes = [_write_results(store) for store in stores]
         for store in stores:
             record = run_record(

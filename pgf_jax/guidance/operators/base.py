@@ -8,7 +8,7 @@ import numpy as np
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.guidance.view import DecisionKey, View
 from pgf_jax.planning.config import EDGE_X, EDGE_Y
-from pgf_jax.planning.types import UNANSWERED, Push
+from pgf_jax.planning.types import UNANSWERED, NoInput, Push
 
 if TYPE_CHECKING:  # the planner needs JAX, and the command line lists the operators
     from pgf_jax.batching.requests import Coroutine
@@ -74,13 +74,13 @@ def ask_operator(
         given = yield from deliberate(view, search, planner, decision_key)
     else:
         given = operator.decide(view)  # pyright: ignore[reportAttributeAccessIssue]
-    if not getattr(operator, "checked", False):
-        check_input(getattr(operator, "name", type(operator).__name__), given, view)
-    return given
+    if getattr(operator, "checked", False):
+        return given
+    return check_input(getattr(operator, "name", type(operator).__name__), given, view)
 
 
-def check_input(name: str, given: object, view: View) -> None:
-    """Check what an operator gives.
+def check_input(name: str, given: object, view: View) -> Push | NoInput | None:
+    """Check what an operator gives, and return it, with Python's numbers in it.
 
     Raises:
       BadInput: one line that names the operator: it is no input, or its object or target is not on
@@ -88,7 +88,7 @@ def check_input(name: str, given: object, view: View) -> None:
         -0.38..0.38 m, as the cost's edge term has it.
     """
     if given is None or given is UNANSWERED:
-        return
+        return given  # pyright: ignore[reportReturnType]
     if not isinstance(given, Push):
         raise BadInput(
             f"operator {name!r}: expected a Push(object, x, y), or None to go on reaching, got "
@@ -111,3 +111,4 @@ def check_input(name: str, given: object, view: View) -> None:
             f"is off the shelf; expected x within {EDGE_X[0]}..{EDGE_X[1]}, y within "
             f"{EDGE_Y[0]}..{EDGE_Y[1]}"
         )
+    return Push(int(given.object), float(given.x), float(given.y))

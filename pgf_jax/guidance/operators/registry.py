@@ -66,7 +66,7 @@ def register_operator(
     Raises:
       BadInput: the name is taken; or neither a source nor a version is there.
     """
-    OPERATORS.register(name, make, module=caller(), version=version, replace=replace)
+    OPERATORS.register(name, make, caller=caller(), version=version, replace=replace)
 
 
 def operator_names() -> list[str]:
