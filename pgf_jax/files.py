@@ -187,6 +187,28 @@ def png(figure: "Figure", about: Mapping[str, Any] | None = None) -> bytes:
     return buffer.getvalue()
 
 
+def pdf(figure: "Figure", about: Mapping[str, Any] | None = None) -> bytes:
+    """The bytes of a PDF file; the same figure gives the same bytes. For `about` see `png`."""
+    buffer = io.BytesIO()
+    text = {} if about is None else {"Subject": json.dumps(about, sort_keys=True)}
+    figure.savefig(buffer, format="pdf", metadata={"CreationDate": None, **text})
+    return buffer.getvalue()
+
+
+def write_figure(
+    path: Path | str, figure: "Figure", about: Mapping[str, Any] | None = None
+) -> None:
+    """Write a figure as its file's name says, .png or .pdf. For `about` see `png`.
+
+    Raises:
+      BadInput: another kind of file, or it cannot be written there.
+    """
+    draw = {".png": png, ".pdf": pdf}.get(Path(path).suffix.lower())
+    if draw is None:
+        raise BadInput(f"{path}: expected a file .png or .pdf")
+    write_atomically(path, draw(figure, about))
+
+
 def sha256(data: bytes) -> str:
     """The SHA-256 digest of some bytes, in hex."""
     return hashlib.sha256(data).hexdigest()

@@ -9,11 +9,10 @@ import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from statistics import NormalDist
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.planning.types import Status
@@ -57,6 +56,8 @@ class CellSummary:
       helped: rate of tasks with at least one grant among those that ended.
       planning_time_s: planning time of all tasks that ended, failures included, s.
       planning_time_solved_s: planning time of solved tasks, s.
+      task_time_s: time in the task of all tasks that ended, execution apart: planning, waiting and
+        being served, s.
       waiting_s: waiting time of all tasks that ended, s.
       interaction_s: time being served of all tasks that ended, s.
       reach_iterations: reach iterations of all tasks that ended.
@@ -95,6 +96,7 @@ class CellSummary:
     helped: Interval
     planning_time_s: Interval
     planning_time_solved_s: Interval
+    task_time_s: Interval
     waiting_s: Interval
     interaction_s: Interval
     reach_iterations: Interval
@@ -134,8 +136,32 @@ def flat_row(summary: Any) -> dict[str, str | int | float]:
     return row
 
 
+class FleetSettings(Protocol):
+    """The settings of a fleet that its summary needs; `FleetConfig` has them."""
+
+    @property
+    def policy(self) -> str:
+        """Name of the policy."""
+        ...
+
+    @property
+    def robots(self) -> int:
+        """R."""
+        ...
+
+    @property
+    def operators(self) -> int:
+        """Number of operators."""
+        ...
+
+    @property
+    def seed(self) -> int:
+        """The fleet's seed."""
+        ...
+
+
 def summarise(
-    config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
+    config: FleetSettings, records: Sequence[TaskRecord], events: Sequence[Event]
 ) -> CellSummary:
     """Summarise one fleet that is done.
 
@@ -179,6 +205,7 @@ def summarise(
         helped=rate_interval(sum(record.grants > 0 for record in ended), len(ended)),
         planning_time_s=mean("planning_time_s"),
         planning_time_solved_s=mean("planning_time_s", solved),
+        task_time_s=mean("task_time_s"),
         waiting_s=mean("waiting_s"),
         interaction_s=mean("interaction_s"),
         reach_iterations=mean("reach_iterations"),

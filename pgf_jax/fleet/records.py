@@ -98,3 +98,8 @@ class TaskRecord:
     non_finite: int
     non_finite_at: tuple[int, ...]
     saturated: int
+
+    @property
+    def task_time_s(self) -> float:
+        """Time in the task, execution apart: planning, waiting and being served, s."""
+        return (self.end_ns - self.start_ns) / 1e9 - self.execution_s

@@ -3,7 +3,7 @@
 import dataclasses
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,13 +13,20 @@ import polars as pl
 from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, read_file, read_json, sha256
 from pgf_jax.fleet.config import Cell
-from pgf_jax.fleet.metrics import summarise
 from pgf_jax.sweeping import cell_file, columns
 from pgf_jax.sweeping.cell_store import MANIFEST, RESULTS, RUN
 from pgf_jax.sweeping.config import INPUTS, SCENES, SweepConfig
 from pgf_jax.sweeping.manifest import settings
-from pgf_jax.sweeping.resolve import config_of, differences
-from pgf_jax.sweeping.summary import csv, paired_differences, paired_frame, summary_frame
+from pgf_jax.sweeping.resolve import differences
+from pgf_jax.sweeping.summary import (
+    csv,
+    fleets_frame,
+    over_fleets,
+    paired_differences,
+    paired_frame,
+    summary_frame,
+    summary_of,
+)
 from pgf_jax.tables import results
 from pgf_jax.tables.parquet import decode_table
 
@@ -77,7 +84,8 @@ def check_files(out: Path) -> Checked:
     else:
         sound = _against_manifest(out, manifest, sound, findings)
         _merged(out, manifest, sound, findings)
-    known = {*RESULTS, MANIFEST, RUN, SCENES, cell_file.FOLDER}
+    known = {*(RESULTS if manifest is None else _listed(manifest)), MANIFEST, RUN, SCENES}
+    known.add(cell_file.FOLDER)
     for path in sorted(out.iterdir()):
         if path.name not in known:
             findings.append(Finding(path, "foreign: no sweep writes it"))
@@ -133,7 +141,7 @@ def _manifest(out: Path, findings: list[Finding]) -> dict[str, Any] | None:
     try:
         manifest = read_json(out / MANIFEST)
         listed = [(cell["file"], cell["sha256"], cell["policy"]) for cell in manifest["cells"]]
-        named = [manifest["files"][name] for name in RESULTS]
+        named = [manifest["files"][name] for name in _listed(manifest)]
         if not all(isinstance(text, str) for row in (*listed, named) for text in row):
             raise TypeError
         # A name that is none of a cell's may lead anywhere.
@@ -235,7 +243,7 @@ def _merged(
     """Check the merged files against the manifest, and against the cells they were merged from."""
     whole = all(out / cell["file"] in sound for cell in manifest["cells"])
     expected = _remade(out, manifest, sound) if whole else {}
-    for name in RESULTS:
+    for name in _listed(manifest):
         path = out / name
         try:
             data = read_file(path, "results of a sweep", _LARGEST_FILE)
@@ -261,32 +269,36 @@ def _remade(
             cell = Cell(listed["policy"], listed["robots"], listed["tasks"], seed)
             tables[cell] = sound[out / listed["file"]]
         records = {cell: results.task_records(content.tasks) for cell, content in tables.items()}
-        summaries = []
-        for cell, content in tables.items():
-            config = config_of(
-                content.about, {"log": "recorded"} if _replayed(content) else {}, out
-            )
-            log = results.event_log(content.events)
-            summaries.append(summarise(config.fleet(cell), records[cell], log))
+        summaries = [*map(summary_of, tables.values())]
         merged = {name: columns.merged(tables.values(), name) for name in cell_file.TABLES}
     except (BadInput, KeyError, TypeError, ZeroDivisionError, pl.exceptions.PolarsError):
         return {}
     return {
         "tasks.parquet": merged["tasks"],
         "events.parquet": merged["events"],
-        "summary.csv": csv(summary_frame(summaries)),
-        "paired.csv": csv(paired_frame(paired_differences(records))),
+        "summary.csv": summary_frame(summaries),
+        "fleets.csv": fleets_frame(over_fleets(summaries)),
+        "paired.csv": paired_frame(paired_differences(records)),
     }
 
 
-def _replayed(content: cell_file.Content) -> bool:
-    config = content.about.get("config")
-    return isinstance(config, dict) and config.get("operator") == "replay"
+# What earlier versions did not write yet: a file, columns, rows.
+_ADDED = "fleets.csv"
+_EARLIER: Mapping[str, Callable[[pl.DataFrame], pl.DataFrame]] = {
+    "summary.csv": lambda frame: frame.select(pl.exclude("^task_time_s.*$")),
+    "paired.csv": lambda frame: frame.filter(pl.col("value") != "task_time_s"),
+}
 
 
-def _is(expected: Any, path: Path, data: bytes) -> bool:
-    if isinstance(expected, bytes):
-        return expected == data
+def _listed(manifest: Mapping[str, Any]) -> list[str]:
+    """Names of the merged files of a sweep."""
+    return [name for name in RESULTS if name != _ADDED or name in manifest["files"]]
+
+
+def _is(expected: pl.DataFrame, path: Path, data: bytes) -> bool:
+    if path.suffix == ".csv":
+        earlier = _EARLIER.get(path.name)
+        return csv(expected) == data or (earlier is not None and csv(earlier(expected)) == data)
     schema = results.MERGED_TASK_SCHEMA if path.stem == "tasks" else results.MERGED_EVENT_SCHEMA
     try:
         found = results.conform(decode_table(data, path)[0], path, schema, others=True)

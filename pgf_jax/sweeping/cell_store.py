@@ -16,7 +16,11 @@ from pgf_jax.sweeping.config import SCENES
 from pgf_jax.sweeping.resolve import CellSpec, ResolvedSweep, differences
 
 MANIFEST, RUN = "manifest.json", "run.json"
-RESULTS = ("tasks.parquet", "events.parquet", "summary.csv", "paired.csv", "fig6.png")
+FIGURE = "fig6.png"
+RESULTS = (
+    *("tasks.parquet", "events.parquet", "summary.csv", "fleets.csv", "paired.csv"),
+    FIGURE,
+)
 SESSION = ".session-"  # begins the names of files that exist while a sweep computes
 
 

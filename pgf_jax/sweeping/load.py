@@ -10,8 +10,10 @@ import polars as pl
 
 from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, is_folder, read_file, read_json
+from pgf_jax.fleet.metrics import CellSummary
 from pgf_jax.sweeping import cell_file, columns
 from pgf_jax.sweeping.cell_store import MANIFEST
+from pgf_jax.sweeping.summary import summary_of
 from pgf_jax.tables import results
 from pgf_jax.tables.parquet import LARGEST, decode_table
 
@@ -52,6 +54,16 @@ def load_sweep(folder: Path | str) -> LoadedSweep:
       BadInput: one line that names the folder or the file: no finished sweep, or not as written.
     """
     folder = Path(folder)
+    manifest = _manifest(folder)
+    tables = {
+        "tasks": _table(folder, "tasks", columns.TASK_SCHEMA),
+        "events": _table(folder, "events", columns.EVENT_SCHEMA),
+    }
+    csvs = {name: _csv(folder / f"{name}.csv") for name in ("summary", "fleets", "paired")}
+    return LoadedSweep(folder=folder, manifest=manifest, **tables, **csvs)
+
+
+def _manifest(folder: Path) -> dict[str, Any]:
     if not is_folder(folder):
         raise BadInput(f"{folder}: no such folder, expected results of a sweep")
     if not (folder / MANIFEST).is_file():
@@ -59,13 +71,7 @@ def load_sweep(folder: Path | str) -> LoadedSweep:
         if (folder / cell_file.FOLDER).is_dir():
             hint = "; it is not finished: the same sweep with --resume goes on"
         raise BadInput(f"{folder}: holds no finished sweep (no {MANIFEST}){hint}")
-    manifest = read_json(folder / MANIFEST)
-    tables = {
-        "tasks": _table(folder, "tasks", columns.TASK_SCHEMA),
-        "events": _table(folder, "events", columns.EVENT_SCHEMA),
-    }
-    csvs = {name: _csv(folder / f"{name}.csv") for name in ("summary", "fleets", "paired")}
-    return LoadedSweep(folder=folder, manifest=manifest, **tables, **csvs)
+    return read_json(folder / MANIFEST)
 
 
 def _table(folder: Path, name: str, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
@@ -88,3 +94,18 @@ def _csv(path: Path) -> pl.DataFrame:
         return pl.read_csv(io.BytesIO(data), infer_schema_length=None, null_values="NaN")
     except pl.exceptions.PolarsError as error:
         raise BadInput(f"{path}: truncated or malformed, expected a CSV file ({error})") from None
+
+
+def summaries_of(folder: Path | str) -> list[CellSummary]:
+    """The metrics of the cells of a finished sweep, in the order of its configuration.
+
+    Raises:
+      BadInput: see `load_sweep`.
+    """
+    folder = Path(folder)
+    listed = _manifest(folder).get("cells")
+    names = [cell.get("file") for cell in listed if isinstance(cell, dict)] if listed else []
+    keys = [Path(name).stem for name in names if isinstance(name, str)]
+    if not keys or not all(map(cell_file.is_key, keys)):
+        raise BadInput(f"{folder / MANIFEST}: edited: it does not list the cells")
+    return [summary_of(cell_file.read(cell_file.path(folder, key))) for key in keys]

@@ -11,9 +11,11 @@ import polars as pl
 from rich.console import Console, Group
 from rich.progress import TaskID, TextColumn
 from rich.table import Table
+from rich.text import Text
 
 from pgf_jax.fleet.metrics import NS_PER_HOUR, CellSummary, Interval
 from pgf_jax.sweeping.resolve import CellSpec
+from pgf_jax.sweeping.summary import over_fleets
 from pgf_jax.terminal import Progress
 
 BARS = 16  # more cells than these share one bar
@@ -160,37 +162,55 @@ class Report:
 
 
 def summary_tables(summaries: Sequence[CellSummary]) -> Group:
-    """The headline numbers of every cell, with 95 % intervals; two tables, to fit 80 columns."""
-    outcome = _table("policy", "R", "tasks", "success", "planning (s)", "solved (s)", "tasks/h")
-    help_ = _table("policy", "R", "helped", "first grant at", "utilisation", "window size")
-    for s in summaries:
-        cell = (s.policy, str(s.robots))
+    """The headline numbers of every policy and fleet size, in two tables that fit 80 columns.
+
+    Means are over fleets of several seeds, with half the width of their 95 % intervals.
+    """
+    rows = over_fleets(summaries)
+    all_solved = all(row.solved == row.tasks for row in rows)
+    success = () if all_solved else ("success",)
+    of_task = ("planning (s)", "in the task (s)")
+    outcome = _table("policy", "R", "fleets", "tasks", *success, *of_task, "tasks/h")
+    help_ = _table("policy", "R", "helped", "waiting (s)", "1st grant", "utilisation", "window")
+    for row in rows:
+        fleet = (row.policy, str(row.robots))
         outcome.add_row(
-            *cell,
-            str(s.tasks),
-            _range(s.success),
-            _plus_minus(s.planning_time_s),
-            _plus_minus(s.planning_time_solved_s),
-            _number(s.tasks_per_hour, 1),
+            *fleet,
+            str(row.fleets),
+            str(row.tasks),
+            *(() if all_solved else (_plus_minus(row.success, 2),)),
+            _plus_minus(row.planning_time_s),
+            _plus_minus(row.task_time_s),
+            _plus_minus(row.tasks_per_hour, 0),
         )
         help_.add_row(
-            *cell,
-            _range(s.helped),
-            _plus_minus(s.first_grant),
-            _number(s.utilisation, 2),
-            _number(s.window_size_mean, 2),
+            *fleet,
+            _plus_minus(row.helped, 2),
+            _plus_minus(row.waiting_s),
+            _plus_minus(row.first_grant),
+            _plus_minus(row.utilisation, 2),
+            _plus_minus(row.window_size_mean),
         )
-    return Group(outcome, help_)
+    fleets = max((row.fleets for row in rows), default=0)
+    notes = [
+        *(["all tasks solved"] if all_solved else []),
+        f"mean ± 95 % interval over {fleets} fleets (seeds)"
+        if fleets > 1
+        else "one fleet: no interval (--seeds 0 1 2 makes several)",
+        "in the task: planning, waiting and service; 1st grant: at which reach iteration;",
+        "window: bids in it at its close",
+    ]
+    return Group(outcome, help_, *(Text(note) for note in notes))
 
 
-def physics_line(summaries: Sequence[CellSummary], tasks: pl.DataFrame, seed: int) -> str:
+def physics_line(summaries: Sequence[CellSummary], tasks: pl.DataFrame) -> str:
     """A line about the physics: what was not finite, and where contact slots were full."""
     lost, full = (sum(getattr(s, name) for s in summaries) for name in ("non_finite", "saturated"))
     where = ""
     if lost:
         first = tasks.filter(pl.col("non_finite") > 0).row(0, named=True)
         where = (
-            f" (first: {first['policy']}, R = {first['robots']}, seed {seed}, robot "
+            f" (first: {first['policy']}, R = {first['robots']}, seed {first['seed']}, robot "
             f"{first['robot']}, task {first['task']}, iteration {first['non_finite_at'][0]}; all "
             "in tasks.parquet, non_finite_at)"
         )
@@ -211,11 +231,10 @@ def _number(value: float, digits: int) -> str:
     return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-def _plus_minus(value: Interval) -> str:
-    text = _number(value.mean, 1)
-    return text if math.isnan(value.high) else f"{text} ± {value.high - value.mean:.1f}"
-
-
-def _range(value: Interval) -> str:
-    text = _number(value.mean, 2)
-    return text if math.isnan(value.low) else f"{text} [{value.low:.2f}, {value.high:.2f}]"
+def _plus_minus(value: Interval, digits: int = 1) -> str:
+    """A mean and half the width of its interval, which may be cut on one side."""
+    text = _number(value.mean, digits)
+    if math.isnan(value.high):
+        return text
+    half = max(value.high - value.mean, value.mean - value.low)
+    return f"{text} ± {half:.{digits}f}"

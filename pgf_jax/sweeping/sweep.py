@@ -19,7 +19,7 @@ from rich.console import Console
 from pgf_jax.errors import BadInput
 from pgf_jax.files import json_bytes, png, sha256, write_atomically
 from pgf_jax.fleet.config import Cell
-from pgf_jax.fleet.metrics import CellSummary, summarise
+from pgf_jax.fleet.metrics import CellSummary
 from pgf_jax.parallel.cluster import open_cluster
 from pgf_jax.parallel.local import LocalPool
 from pgf_jax.plugins.digest import is_interactive
@@ -35,7 +35,16 @@ from pgf_jax.sweeping.replay import replay_config, replay_difference
 from pgf_jax.sweeping.report import Report, physics_line, summary_tables
 from pgf_jax.sweeping.resolve import CellSpec, Loaded, ResolvedSweep, resolve
 from pgf_jax.sweeping.run_cells import BatchStats
-from pgf_jax.sweeping.summary import Paired, csv, paired_differences, paired_frame, summary_frame
+from pgf_jax.sweeping.summary import (
+    Paired,
+    csv,
+    fleets_frame,
+    over_fleets,
+    paired_differences,
+    paired_frame,
+    summary_frame,
+    summary_of,
+)
 from pgf_jax.tables import results
 from pgf_jax.tables.event_log import read_log
 from pgf_jax.tables.parquet import encode_table
@@ -49,7 +58,7 @@ class SweepResult:
 
     Attributes:
       out: their folder.
-      summaries: one a cell, by policy, then by fleet size.
+      summaries: one a cell, by policy, then by fleet size, then by seed.
       paired: differences of every two policies on the same tasks.
       computed: names of the cells computed now; the others were finished before.
       files: the cells' own.
@@ -253,12 +262,10 @@ def _write_results(store: CellStore) -> SweepResult:
     """Merge and summarise the cells' files: kept and computed cells are treated alike."""
     sweep, config = store.sweep, store.sweep.config
     tables = store.read_all()
-    records = {cell: results.task_records(content.tasks) for cell, content in tables.items()}
-    summaries = [
-        summarise(config.fleet(cell), records[cell], results.event_log(content.events))
-        for cell, content in tables.items()
-    ]
-    paired = paired_differences(records)
+    summaries = [summary_of(content) for content in tables.values()]
+    paired = paired_differences(
+        {cell: results.task_records(content.tasks) for cell, content in tables.items()}
+    )
     merged = merged_files(sweep, tables, summaries, paired)
     for name, data in merged.items():
         write_atomically(config.out / name, data)
@@ -287,6 +294,7 @@ def merged_files(
         encode_table(columns.merged(tables.values(), "tasks"), origin),
         encode_table(columns.merged(tables.values(), "events"), origin),
         csv(summary_frame(summaries)),
+        csv(fleets_frame(over_fleets(summaries))),
         csv(paired_frame(paired)),
         png(figure6(summaries), origin),
     )
@@ -307,7 +315,7 @@ def _show(config: SweepConfig, result: SweepResult) -> None:
     console = Console()
     console.print(summary_tables(result.summaries))
     for line in (
-        physics_line(result.summaries, result.tasks(), config.seed),
+        physics_line(result.summaries, result.tasks()),
         f"engine {config.engine}, {config.engine_lanes()} lanes; results in {config.out}",
     ):
         console.print(line, markup=False, highlight=False, soft_wrap=True)

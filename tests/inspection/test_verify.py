@@ -129,7 +129,10 @@ def test_a_finished_sweep_that_is_added_to_is_unfinished_until_it_is_done(
     assert found(out) == []
 
 
-RESULTS = ("tasks.parquet", "events.parquet", "summary.csv", "paired.csv", "fig6.png")
+RESULTS = (
+    *("tasks.parquet", "events.parquet", "summary.csv", "fleets.csv", "paired.csv"),
+    "fig6.png",
+)
 
 
 # -- files that are not as they were written ---------------------------------------------------
@@ -153,7 +156,7 @@ def test_a_forger_has_much_to_do(out, one):
     digest = sign(one, forged(cell_file.read(one)))
     follow = [
         (name, "edited: it does not follow from the cells")
-        for name in ("tasks.parquet", "summary.csv", "paired.csv")
+        for name in ("tasks.parquet", "summary.csv", "fleets.csv", "paired.csv")
     ]
     listed = (one.name, "edited: its digest is not the one in manifest.json")
     assert found(out) == [listed, *follow]

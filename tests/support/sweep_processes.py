@@ -11,7 +11,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 HERE = Path(__file__).parent
-RESULTS = ("tasks.parquet", "events.parquet", "summary.csv", "paired.csv", "fig6.png")
+RESULTS = (
+    *("tasks.parquet", "events.parquet", "summary.csv", "fleets.csv", "paired.csv"),
+    "fig6.png",
+)
 POLICIES = [
     "autonomous",
     "or-hitl",

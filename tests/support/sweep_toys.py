@@ -20,7 +20,10 @@ from pgf_jax.planning.types import Push
 from pgf_jax.sweeping.config import SweepConfig
 
 GRIP_SCALE = 9e3  # of the four tasks of two robots, seed 0, one times out and one ends stuck
-RESULTS = ("tasks.parquet", "events.parquet", "summary.csv", "paired.csv", "fig6.png")
+RESULTS = (
+    *("tasks.parquet", "events.parquet", "summary.csv", "fleets.csv", "paired.csv"),
+    "fig6.png",
+)
 
 
 class Ghost:
