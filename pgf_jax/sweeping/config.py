@@ -34,6 +34,12 @@ SampledClass = Literal[SceneClass, "all"]  # all: the three in turn
 HOW = ("preset", "workers", "scheduler", "out", "resume", "json")
 # Fields that say where a sweep's inputs lie; the inputs' content decides on results.
 INPUTS = ("scenes", "predictor", "log")
+# Fields that were added later: stored results lack them, and were made with their defaults.
+ADDED = (
+    *("seeds", "bid_threshold", "task_limit", "push_limit"),
+    *("push_execution", "retreat", "reach_execution", "rollouts", "sigma", "stomp_h"),
+    *("stuck_count", "stuck_change", "stuck_excess", "cost_weights"),
+)
 SCENES = "scenes.json"  # in the folder of the results: the scenes that were given as objects
 # Policies that need no network that predicts a gain.
 GAINLESS = frozenset(

@@ -12,7 +12,7 @@ from pgf_jax.simulation.planned_robots import Robot
 from pgf_jax.simulation.recorded_operator import REPLAY, Recording
 from pgf_jax.simulation.runner import FleetRunner
 from pgf_jax.simulation.snapshot import FleetSnapshot
-from pgf_jax.sweeping.config import SweepConfig
+from pgf_jax.sweeping.config import ADDED, SweepConfig
 from pgf_jax.sweeping.resolve import resolve
 from pgf_jax.tables.event_log import EventLog, first_difference, read_log
 
@@ -105,12 +105,14 @@ def agreed_settings(
 ) -> dict[str, Any]:
     """The recorded settings; ours must be the same or not given.
 
-    A setting that the log lacks was added later: it was recorded with the default, which is what
-    was built in then.
+    A log may lack a setting that was added later: it was recorded with the default.
 
     Raises:
-      BadInput: one that is given differs.
+      BadInput: one that is given differs, or the log lacks one.
     """
+    for name in ours:
+        if name not in recorded and name not in ADDED:
+            raise BadInput(f"{path}: its settings lack {name}")
     values = {name: recorded.get(name, defaults[name]) for name in ours}
     for name, value in ours.items():
         if value != defaults[name] and value != values[name]:

@@ -15,6 +15,7 @@ from pgf_jax.fleet.config import Cell
 from pgf_jax.inspection.config import VerifyConfig
 from pgf_jax.inspection.verify import distance, verify
 from pgf_jax.sweeping import cell_file, worker
+from pgf_jax.sweeping.summary import csv
 from pgf_jax.sweeping.sweep import sweep
 from pgf_jax.tables.parquet import encode_table
 
@@ -187,7 +188,7 @@ def _remade(out, manifest):
 
     sound = {out / cell["file"]: cell_file.read(out / cell["file"]) for cell in manifest["cells"]}
     made = remade(out, manifest, sound)
-    return {n: m if isinstance(m, bytes) else encode_table(m) for n, m in made.items()}
+    return {n: csv(m) if n.endswith(".csv") else encode_table(m) for n, m in made.items()}
 
 
 def test_a_renamed_cell(out, one):

@@ -158,8 +158,12 @@ def test_settings_that_agree():
     with pytest.raises(BadInput) as caught:
         agreed_settings(defaults | {"b": 3}, defaults, recorded, path)
     assert str(caught.value) == "b: 3, but log was recorded with 2; leave it out"
-    # A setting that was added later was recorded with the value that was built in then.
-    assert agreed_settings(defaults, defaults, {"a": 1, "b": 2}, path) == whole | {"c": None}
+    with pytest.raises(BadInput) as caught:
+        agreed_settings(defaults, defaults, {"a": 1, "b": 2}, path)
+    assert str(caught.value) == "log: its settings lack c"
+    # One that was added later was recorded with the value that was built in then.
+    later = defaults | {"task_limit": 180.0}
+    assert agreed_settings(later, later, recorded, path) == whole | {"task_limit": 180.0}
 
 
 def about(**changes) -> dict:
@@ -228,7 +232,7 @@ def changed_settings(**changes):
     ("said", "words"),
     [
         ({}, "does not say its settings, expected the log of a session"),
-        ({"settings": {}}, "settings that cannot be used"),
+        ({"settings": {}}, "its settings lack"),
         (changed_settings(robots=[1, 2]), "settings that cannot be used"),
         (changed_settings(robots=None), "settings that cannot be used"),
         (changed_settings(robots=7), "settings that cannot be used"),

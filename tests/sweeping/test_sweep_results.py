@@ -15,10 +15,10 @@ from rich.console import Console
 from stub_fleets import mixed_fleet, run, solved_after
 
 from pgf_jax.errors import BadInput
-from pgf_jax.files import png
+from pgf_jax.files import pdf, png
 from pgf_jax.fleet import WorkKind
 from pgf_jax.fleet.config import Cell
-from pgf_jax.fleet.metrics import summarise
+from pgf_jax.fleet.metrics import CellSummary, Interval, summarise
 from pgf_jax.fleet.stub import outcome
 from pgf_jax.planning.types import Status
 from pgf_jax.sweeping.figure6 import figure6
@@ -27,6 +27,8 @@ from pgf_jax.sweeping.resolve import CellSpec
 from pgf_jax.sweeping.summary import (
     PAIRED,
     csv,
+    fleets_frame,
+    over_fleets,
     paired_differences,
     paired_frame,
     summary_frame,
@@ -210,8 +212,9 @@ def summaries():
 def test_figure_has_a_line_for_each_policy():
     cells = summaries()
     figure = figure6(cells)
-    times, rates = figure.axes
-    for axes, value in ((times, "planning_time_s"), (rates, "success")):
+    times, wholes, rates = figure.axes
+    panels = ((times, "planning_time_s"), (wholes, "task_time_s"), (rates, "success"))
+    for axes, value in panels:
         lines = axes.get_lines()
         assert [line.get_label() for line in axes.containers] == ["pgf", "or-hitl", "always"]
         assert len(lines) == 3
@@ -219,18 +222,82 @@ def test_figure_has_a_line_for_each_policy():
             expected = [getattr(c, value).mean for c in cells if c.policy == policy]
             np.testing.assert_array_equal(np.array(line.get_ydata(), float), expected)
             np.testing.assert_allclose(np.array(line.get_xdata(), float), [1, 4, 10], atol=0.25)
-        container = axes.containers[0]
-        assert isinstance(container, ErrorbarContainer)
-        bars = container.lines[2][0].get_segments()
-        for (low, high), cell in zip(bars, cells[:3], strict=True):
-            interval = getattr(cell, value)
-            assert (low[1], high[1]) == pytest.approx((interval.low, interval.high))
-    assert figure.get_suptitle() == (
-        "135 tasks; for each policy: 3 (R = 1), 12 (R = 4), 30 (R = 10)"
-    )
+        assert axes.get_ylim()[0] == 0 and axes.get_xlabel() == "fleet size R (robots)"
+        assert axes.get_legend() is None  # it is beside the axes
+    assert figure.get_suptitle() == "135 tasks; one fleet for each point, so no intervals"
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert words[1].startswith("or-hitl (OR-HITL): asks when stuck")
     picture = png(figure)
     assert picture.startswith(b"\x89PNG\r\n\x1a\n") and len(picture) > 10_000
     assert picture == png(figure6(cells))
+
+
+def test_bars_are_intervals_over_fleets():
+    cells = [
+        summarise(fleet.config, fleet.records, fleet.events)
+        for seed in range(3)
+        for fleet in [run("pgf", robots=1, seed=seed, iterate=solved_after([0, seed, seed]))]
+    ]
+    figure = figure6(cells)
+    assert len(figure.axes) == 2  # every task was solved
+    (row,) = over_fleets(cells)
+    for axes, interval in zip(figure.axes, (row.planning_time_s, row.task_time_s), strict=True):
+        container = axes.containers[0]
+        assert isinstance(container, ErrorbarContainer)
+        ((low, high),) = container.lines[2][0].get_segments()
+        assert (low[1], high[1]) == pytest.approx((interval.low, interval.high))
+    assert figure.get_suptitle() == (
+        "9 tasks, all of them solved; bars: 95 % intervals over 3 fleets"
+    )
+    assert pdf(figure).startswith(b"%PDF") and pdf(figure) == pdf(figure6(cells))
+
+
+def test_intervals_are_over_fleets_and_cut_to_what_is_possible():
+    cells = [summary(planning=planning, success=success) for planning, success in HAND]
+    (row,) = over_fleets(cells)
+    # Means 1, 2, 9: 4 with sd 4.36, and t(0.975, 2) = 4.3027 times sd / sqrt(3) is 10.83.
+    assert (row.fleets, row.planning_time_s.mean, row.planning_time_s.n) == (3, 4.0, 3)
+    assert row.planning_time_s.low == 0.0
+    half = 4.302653 * np.std([1, 2, 9], ddof=1) / 3**0.5
+    assert row.planning_time_s.high == pytest.approx(4 + half)
+    assert (row.success.mean, row.success.high) == (pytest.approx(0.8), 1.0)
+    (alone,) = over_fleets(cells[:1])
+    assert alone.planning_time_s.mean == 1.0 and math.isnan(alone.planning_time_s.low)
+    frame = fleets_frame([row])
+    assert frame.columns[:6] == ["policy", "robots", "operators", "fleets", "tasks", "solved"]
+    assert frame["planning_time_s_n"].to_list() == [3]
+
+
+HAND = ((1.0, 0.5), (2.0, 0.9), (9.0, 1.0))
+
+
+def summary(*, planning: float, success: float) -> CellSummary:
+    """A fleet's, with these means; its own intervals do not count."""
+    fleet = run("pgf", robots=1)
+    found = summarise(fleet.config, fleet.records, fleet.events)
+    return dataclasses.replace(
+        found,
+        planning_time_s=Interval(planning, -9.0, 99.0, 3),
+        success=Interval(success, 0.0, 1.0, 3),
+    )
+
+
+def test_pairs_of_several_seeds_are_compared_by_fleet():
+    fleets = {
+        Cell(policy, 1, 3, seed): run(robots=1, seed=seed, iterate=solved_after(ways)).records
+        for policy, seeds in (("a", ([0, 1, 2], [1, 1, 3])), ("b", ([2, 2, 2], [0, 0, 2])))
+        for seed, ways in enumerate(seeds)
+    }
+    found = {p.value: p.difference for p in paired_differences(fleets)}["reach_iterations"]
+    alone = [
+        {
+            p.value: p.difference
+            for p in paired_differences({c: r for c, r in fleets.items() if c.seed == seed})
+        }["reach_iterations"]
+        for seed in (0, 1)
+    ]
+    assert [fleet.n for fleet in alone] == [3, 3] and found.n == 2
+    assert found.mean == pytest.approx(np.mean([fleet.mean for fleet in alone]))
 
 
 def test_figure_of_one_cell_without_an_outcome():
@@ -249,8 +316,11 @@ def test_summary_table_fits_a_terminal():
     assert "…" not in text
     assert text.count("or-hitl") == 6
     row = next(line for line in text.splitlines() if line.split()[:2] == ["or-hitl", "1"])
-    # Solved in 3 and 6 s; the third task fails at the limit. Success 2 of 3, Wilson.
-    assert "0.67 [0.21, 0.94]" in row
+    # Solved in 3 and 6 s; the third task fails at the limit.
+    assert row.split()[2:5] == ["1", "3", "0.67"]
+    assert "one fleet: no interval (--seeds 0 1 2 makes several)" in text
+    solved = [cell for cell in summaries() if cell.success.mean == 1.0]
+    console.print(summary_tables(solved or [summary(planning=1.0, success=1.0)]))
 
 
 def spec(sweep: int, *sizes) -> CellSpec:

@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from registered import registered
 from sweep_toys import (
     RESULTS,
     cell_files,
@@ -28,8 +29,9 @@ from pgf_jax.fleet.metrics import mean_interval, rate_interval
 from pgf_jax.guidance.predictors import registry
 from pgf_jax.guidance.predictors.network import GainNetwork
 from pgf_jax.guidance.predictors.true_gain import TrueGain
+from pgf_jax.physics.engine import ENGINES
 from pgf_jax.provenance import git_commit
-from pgf_jax.sweeping import cell_file
+from pgf_jax.sweeping import cell_file, columns
 from pgf_jax.sweeping import resolve as resolve_module
 from pgf_jax.sweeping import sweep as sweep_module
 from pgf_jax.sweeping.cell_store import only_writer
@@ -81,7 +83,9 @@ def test_files_and_columns(whole):
     tasks, events = result.tasks(), result.events()
     assert tasks.columns[:5] == ["policy", "robots", "robot", "task", "scene"]
     assert events.columns[:2] == ["policy", "robots"]
-    assert events.columns[2:] == list(results.EVENT_SCHEMA)
+    assert events.columns == list(columns.EVENT_SCHEMA)
+    assert events.columns[2:14] == list(results.EVENT_SCHEMA)
+    assert {"seed", "scene_class", "window", "operator_name"} < set(events.columns)
     rows = tasks.group_by("policy", "robots", maintain_order=True).len().rows()
     assert rows == [
         ("or-hitl", 1, 2),
@@ -100,8 +104,8 @@ def test_cells_hold_what_was_merged(whole):
     for cell, file in result.files.items():
         found = result.cell(cell)
         own = (pl.col("policy") == cell.policy) & (pl.col("robots") == cell.robots)
-        assert found.tasks.equals(tasks.filter(own).drop("policy", "robots"))
-        assert found.events.equals(events.filter(own).drop("policy", "robots"))
+        assert found.tasks.equals(tasks.filter(own).select(list(results.TASK_SCHEMA)))
+        assert found.events.equals(events.filter(own).select(list(results.EVENT_SCHEMA)))
         assert found.about["identity"]["fleet"]["policy"] == cell.policy
         assert file == out / "cells" / f"{cell_file.key(found.about['identity'])}.parquet"
         assert file.read_bytes() == found.data()
@@ -196,7 +200,8 @@ def test_manifest(whole):
     assert manifest["config"]["robots"] == [1, 2] and run["out"] == str(out)
     assert not manifest["config"].keys() & {"out", "workers", "resume", "preset", "scheduler"}
     for cell, said in zip(result.files, manifest["cells"], strict=True):
-        assert (said["policy"], said["robots"], said["tasks"]) == dataclasses.astuple(cell)
+        names = ("policy", "robots", "tasks", "seed")
+        assert tuple(said[name] for name in names) == dataclasses.astuple(cell)
         assert out / said["file"] == result.files[cell]
         assert said["sha256"] == sha256(result.files[cell].read_bytes())
     assert manifest["scenes"] == {"class": "tight", "objects": 20}
@@ -362,7 +367,7 @@ def test_another_kind_of_predictor_is_another_configuration(tmp_path):
     config = ghost(tmp_path / "out", policies=("pgf",), robots=(1,), tasks=1, predictor=str(folder))
     sweep(config, quiet=True)
     best = dataclasses.replace(config, predictor=f"best:{folder}")
-    refused(best, "of another configuration", config.out)
+    refused(best, "results of other settings", config.out)
     same = dataclasses.replace(config, predictor=f"paper:{folder}", resume=True)
     assert sweep(same, quiet=True).computed == ()
 
@@ -605,27 +610,27 @@ def test_pgf_without_shipped_checkpoints(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"window": 3.0}, r"of another configuration \(window_s 2.0, now 3.0\)"),
-        ({"seed": 1}, r"of another configuration \(seed 0, now 1\)"),
-        ({"tasks": 3}, r"of another configuration \(tasks 2, now 3\)"),
-        ({"lanes": 2}, r"\(lanes 4, now 2\)"),
-        ({"physics": "paper"}, r"\(substeps 36, now 250; solref_timeconst"),
-        ({"cost": "paper"}, r"\(variant source, now paper\)"),
-        ({"scene_class": "wide"}, r"\(scene_class tight, now wide\)"),
-        ({"scene_class": "all"}, r"\(scene_class tight, now all\)"),
-        ({"random_winner": 0.5}, r"\(random_winner 0.0, now 0.5\)"),
+        ({"window": 3.0}, "window 2.0, now 3.0"),
+        ({"seed": 1}, "seed 0, now 1"),
+        ({"tasks": 3}, "tasks 2, now 3"),
+        ({"lanes": 2}, "lanes 4, now 2"),
+        ({"physics": "paper"}, "substeps 36, now 250; solref_timeconst .*"),
+        ({"cost": "paper"}, "variant source, now paper"),
+        ({"scene_class": "wide"}, "scene_class tight, now wide"),
+        ({"scene_class": "all"}, "scene_class tight, now all"),
+        ({"random_winner": 0.5}, "random_winner 0.0, now 0.5"),
         (
             {"robots": (1,)},
-            "of '(autonomous|or-hitl)' with 2 robots, a cell that this configuration has not",
+            "'(autonomous|or-hitl)' with 2 robots, which this sweep has not",
         ),
-        ({"policies": ("autonomous",)}, "of 'or-hitl' with [12] robots, a cell that this"),
+        ({"policies": ("autonomous",)}, "'or-hitl' with [12] robots, which this sweep has not"),
     ],
 )
 def test_results_of_another_configuration(whole, resume, changes, message):
     out, _ = whole
     config = ghost(out, resume=resume, **changes)
-    file = rf"{out}/cells/[0-9a-f]{{64}}\.parquet"
-    refused(config, f"{file}: results .*{message}.*; choose another folder", out)
+    where = rf"{out} holds results of other settings \([0-9a-f]{{64}}\.parquet\)"
+    refused(config, f"^{message}: {where}; choose another folder with --out", out)
 
 
 def test_another_predictor_is_another_configuration(tmp_path):
@@ -633,7 +638,7 @@ def test_another_predictor_is_another_configuration(tmp_path):
     out = tmp_path / "out"
     config = ghost(out, policies=("autonomous",), robots=(1,))
     sweep(dataclasses.replace(config, predictor=str(folder)), quiet=True)
-    refused(config, "of another configuration", out)
+    refused(config, "results of other settings", out)
 
 
 @pytest.fixture
@@ -700,7 +705,8 @@ def names(parts):
 
 def cell_like(config: SweepConfig, sweep: int, *sizes) -> CellSpec:
     """A cell of these sizes, whose searches are those of the sweep's cells."""
-    return dataclasses.replace(resolve(config).cells[0], sweep=sweep, cell=Cell(*sizes))
+    cell = Cell(*sizes)
+    return dataclasses.replace(resolve(config).cells[0], sweep=sweep, cell=cell, name=cell.name)
 
 
 def test_partition_by_hand(tmp_path):
@@ -823,9 +829,12 @@ def test_processes_change_nothing_bit_for_bit(real, tmp_path):
 
 
 def test_bad_input_comes_out_of_a_process(tmp_path):
-    # `ghost` is registered here, not there.
-    with pytest.raises(BadInput, match="unknown engine 'ghost'"):
-        sweep(ghost(tmp_path, workers=2), quiet=True)
+    # It is registered here, not there.
+    with (
+        registered(ENGINES, here=ENGINES.make("ghost")),
+        pytest.raises(BadInput, match="has no engine 'here': importing registered does not"),
+    ):
+        sweep(ghost(tmp_path, engine="here", workers=2), quiet=True)
     assert [*tmp_path.rglob("*")] == [tmp_path / "cells"]
 
 
