@@ -16,9 +16,11 @@ from pgf_jax.fleet.events import Event
 from pgf_jax.fleet.metrics import CellSummary
 from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.plans.file import Plan
-from pgf_jax.sweeping.summary import Paired, paired_frame
+from pgf_jax.sweeping.columns import TASK_SCHEMA, setting_texts
+from pgf_jax.sweeping.config import SweepConfig
+from pgf_jax.sweeping.summary import FleetsSummary, Paired, paired_frame
 from pgf_jax.tables.forks import FORK_COLUMNS
-from pgf_jax.tables.results import MERGED_EVENT_SCHEMA, MERGED_TASK_SCHEMA
+from pgf_jax.tables.results import MERGED_EVENT_SCHEMA
 from pgf_jax.tables.runs import RUN_COLUMNS
 
 _OF_A_CELL = {"policy": "of the cell: its policy", "robots": "of the cell: R, the fleet's size"}
@@ -30,14 +32,17 @@ _OF_AN_INTERVAL = {
 
 
 _INTRODUCTION = """\
-A sweep's folder has `tasks.parquet`, `events.parquet`, `summary.csv`, `paired.csv`, `fig6.png`,
-`manifest.json`, `run.json`, and for each cell `cells/KEY.parquet` (one row of two columns, `tasks`
-and `events`: lists of structs with the columns below) and `cells/KEY.json`. A session's folder has
-`events.jsonl` (a line of JSON for each event, without what does not apply), and at its end
-`events.parquet`, `tasks.parquet` (both without `policy` and `robots`), `summary.csv` and
-`session.json`. Collected data are `autonomous/runs.parquet`, `human/runs.parquet` and
-`forks/forks.parquet`, each beside a `collect.json` with its settings. The metadata of a Parquet
-file, key `pgf_jax`, say where it comes from: settings, seed, versions, code. Checkpoints are in
+A sweep's folder has `tasks.parquet`, `events.parquet`, `summary.csv`, `fleets.csv`, `paired.csv`,
+`fig6.png`, `manifest.json`, `run.json`, and for each cell `cells/KEY.parquet` (one row of two
+columns, `tasks` and `events`: lists of structs with the columns below up to `saturated` and
+`outcome`, without `policy` and `robots`) and `cells/KEY.json`; and `scenes.json`, where scenes were
+given as objects. A session's folder has `events.jsonl` (a line of JSON for each event, without what
+does not apply), and at its end `events.parquet`, `tasks.parquet`, `summary.csv` and `session.json`.
+Tables of tasks and of events end with a column for each setting that decides on them, the same in
+all sweeps and sessions, so that they can be stacked; `pgf_jax.load_sweep` reads a sweep's.
+Collected data are `autonomous/runs.parquet`, `human/runs.parquet` and `forks/forks.parquet`, each
+beside a `collect.json` with its settings. The metadata of a Parquet file, key `pgf_jax`, say where
+it comes from: settings, seed, versions, code. Checkpoints are in
 [`checkpoints/README.md`](../checkpoints/README.md). What does not apply is null."""
 
 
@@ -73,13 +78,20 @@ def tables() -> list[Table]:
     """The tables, Parquet and CSV."""
     tasks = _OF_A_CELL | attributes(TaskRecord) | {"scene": "name of the task's scene"}
     tasks |= {term: f"{term} of `cost`" for term in ("c_d", "c_f", "c_b")}
+    settings = setting_texts(attributes(SweepConfig))
+    tasks |= {"task_time_s": attributes(CellSummary)["task_time_s"], **settings}
     events = _OF_A_CELL | attributes(Event)
     paired = attributes(Paired)
     paired |= {"mean": paired["difference"], **_OF_AN_INTERVAL}
     return [
-        Table("tasks.parquet", "one row for each task", _columns(MERGED_TASK_SCHEMA, tasks)),
-        Table("events.parquet", "one row for each event", _columns(MERGED_EVENT_SCHEMA, events)),
-        Table("summary.csv", "one row for each cell", _summary()),
+        Table("tasks.parquet", "one row for each task", _columns(TASK_SCHEMA, tasks)),
+        Table(
+            "events.parquet",
+            "one row for each event; the columns of settings are those of `tasks.parquet`",
+            _columns(MERGED_EVENT_SCHEMA, events),
+        ),
+        Table("summary.csv", "one row for each cell", _summary(CellSummary)),
+        Table("fleets.csv", "one row for each policy and fleet size", _summary(FleetsSummary)),
         Table(
             "paired.csv",
             "one row for each fleet size, two policies and value",
@@ -113,8 +125,8 @@ _JSON = [
         {
             "format": "number of the format",
             "config": "settings of the sweep, without how and where it was computed",
-            "cells": "policy, robots, tasks, file and digest of each cell",
-            "seed": "of scenes, noise, service times and ties",
+            "cells": "policy, robots, tasks, seed, file and digest of each cell",
+            "seed": "of scenes, noise, service times and ties; null where there are several",
             "engine": "physics engine",
             "lanes": "L, robots computed in one call",
             "rollouts": "K, noisy rollouts of an iteration",
@@ -122,6 +134,7 @@ _JSON = [
             "planner": "settings of the planner and of the cost",
             "scenes": "class or folder of the scenes, and their number of objects",
             "predictors": "of each network: digest, training data, figures",
+            "plugins": "of what plugins registered: module, version, digests",
             "versions": "of Python and of the packages",
             "device": "what JAX computed on",
             "processor": "type of the processor",
@@ -210,10 +223,10 @@ def attributes(cls: type) -> dict[str, str]:
     return texts
 
 
-def _summary() -> dict[str, tuple[str, str]]:
-    """Columns of `summary.csv`: fields of `CellSummary`, an interval as four columns."""
-    texts, columns = attributes(CellSummary), {}
-    for name, kind in inspect.get_annotations(CellSummary).items():
+def _summary(kind_of_row: type) -> dict[str, tuple[str, str]]:
+    """Columns of a summary: its fields, an interval as four columns."""
+    texts, columns = attributes(kind_of_row), {}
+    for name, kind in inspect.get_annotations(kind_of_row).items():
         columns[name] = ("Interval" if "Interval" in str(kind) else kind.__name__, texts[name])
     return {
         (f"{name}, {name}_low, {name}_high, {name}_n" if kind == "Interval" else name): (

@@ -40,7 +40,7 @@ def about(sweep: ResolvedSweep) -> dict[str, Any]:
         "format": FORMAT,
         "config": settings(sweep.config),
         "predictors": {name: file["sha256"] for name, file in sweep.predictor_files.items()},
-        **_plugins(sweep),
+        "plugins": _plugins(sweep),
         **environment(),
     }
 
@@ -91,7 +91,7 @@ def manifest(
         "planner": dataclasses.asdict(config.planner()),
         "scenes": _scenes(sweep),
         "predictors": sweep.predictor_files,
-        **_plugins(sweep),
+        "plugins": _plugins(sweep),
         **environment(),
         "origins": origins(tables.values()),
         "files": {name: sha256(data) for name, data in files.items()},
@@ -156,9 +156,8 @@ def run_record(
 
 
 def _plugins(sweep: ResolvedSweep) -> dict[str, Any]:
-    """What the sweep uses of plugins; without any, no key at all."""
-    used = dict.fromkeys(plugin for cell in sweep.cells for plugin in cell.plugins)
-    return {"plugins": plugins_record(used)} if used else {}
+    """What the sweep uses of plugins."""
+    return plugins_record(plugin for cell in sweep.cells for plugin in cell.plugins)
 
 
 def _scenes(sweep: ResolvedSweep) -> dict[str, Any]:
