@@ -5,15 +5,26 @@ from collections.abc import Callable
 from pathlib import Path
 
 import polars as pl
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from study_rows import difference, fleets, over_seeds, read, table_row, text
 
 from pgf_jax.files import png, write_atomically
 from pgf_jax.fleet.metrics import Interval
+from pgf_jax.sweeping.figure6 import COLORS as PALETTE
 from pgf_jax.sweeping.figure6 import MARKERS
 
-POLICIES = ("PGF", "PGF, best", "OR-HITL", "OR-HITL, window", "always", "autonomous")
-COLORS: dict[str, str] = dict(zip(POLICIES, ("C0", "C2", "C1", "C3", "C5", "0.45"), strict=True))
+# What a reader of the figures alone should know of each policy.
+NAMES = {
+    "PGF": "PGF: bids its predicted gain",
+    "PGF, best": "PGF, best: the same, with our best predictor",
+    "OR-HITL": "OR-HITL: asks when stuck, refused while the operator is busy",
+    "OR-HITL, window": "OR-HITL, window: asks when stuck, served after a window",
+    "always": "always: asks before planning, waits in line",
+    "autonomous": "autonomous: never asks",
+}
+POLICIES = tuple(NAMES)
+COLORS: dict[str, str] = dict(zip(POLICIES, PALETTE, strict=False))
 # Bounds of the claims "like" (5 % of OR-HITL's planning time), "similar" and "at least as high".
 LIKE_S, SIMILAR, AS_HIGH = 0.75, 0.10, 0.01
 MEASURES = {
@@ -28,9 +39,14 @@ class Rows:
     """The stored rows of the study."""
 
     def __init__(self, name: str, out: Path) -> None:
-        # Planning time includes the waits in windows, which only policies with windows have.
+        # Planning time includes the waits in windows, which only policies with windows have; it
+        # does not include those in line, which only `always` has.
         iterating = (pl.col("planning_time_s") - pl.col("waiting_s")).alias("iterating_s")
+        in_line = pl.when(pl.col("policy") == "always").then(pl.col("waiting_s")).otherwise(0.0)
+        in_task = pl.col("planning_time_s") + in_line + pl.col("interaction_s")
         self.frame = read(name, out).with_columns(iterating)
+        if "task_time_s" not in self.frame.columns:  # rows of earlier versions lack it
+            self.frame = self.frame.with_columns(in_task.alias("task_time_s"))
         self.sizes = sorted(self.frame["robots"].unique().to_list())
 
     def cell(self, scenes: str, scenario: str, policy: str, robots: int) -> pl.DataFrame:
@@ -55,27 +71,31 @@ def write(name: str, out: Path) -> None:
 
 
 def _main_figure(rows: Rows) -> Figure:
-    figure = Figure(figsize=(11, 7.6), layout="constrained")
-    axes = figure.subplots(2, 2)
+    figure = Figure(figsize=(14, 8.4), layout="constrained")
+    axes = figure.subplots(2, 3)
     for row, scenes in enumerate(("tight", "all")):
         for column, (value, label, scale) in enumerate(
             (
-                ("planning_time_s", "planning time (s)", 1.0),
-                ("success", "success rate (%)", 100.0),
+                ("planning_time_s", "planning time of a task (s)", 1.0),
+                ("task_time_s", "time in the task (s):\nplanning, waiting, service", 1.0),
+                ("success", "tasks solved (%)", 100.0),
             )
         ):
             ax = axes[row, column]
             for policy in POLICIES:
                 _band(ax, rows, scenes, policy, value, scale)
             where = "tight scenes" if scenes == "tight" else "all three classes"
-            ax.set(title=where, xlabel="robots", ylabel=label, xticks=rows.sizes)
+            ax.set(title=where, xlabel="fleet size R (robots)", ylabel=label, xticks=rows.sizes)
             ax.grid(alpha=0.3)
             if column == 0:  # cut off the band of `always`, which has few tasks at R = 1
                 usual = [rows.cell(scenes, "main", "autonomous", r) for r in rows.sizes]
                 highest = max(over_seeds(cell, value).high for cell in usual)
                 ax.set_ylim(0, 1.25 * highest)
+            else:
+                ax.set_ylim(0, 103.0 if value == "success" else None)
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    words = [NAMES[label] for label in labels]
+    figure.legend(handles, words, loc="outside lower center", ncols=2)
     figure.suptitle("Mean of a fleet's tasks, failures included; bands: 95 % over seeds")
     return figure
 
@@ -122,13 +142,18 @@ def _differences_figure(rows: Rows) -> Figure:
                 label=scenario,
             )
         ax.axhline(0, color="black", linewidth=0.8)
-        ax.set(title=title, xlabel="robots", xticks=rows.sizes)
+        ax.set(title=title, xlabel="fleet size R (robots)", xticks=rows.sizes)
         ax.grid(alpha=0.3)
-        ax.legend(fontsize=8)
+        legend_below(ax)
     axes[0].set_ylabel("planning time, PGF less OR-HITL (s)")
     axes[2].set_ylim(-45, 10)  # an interval of two seeds may be larger
     figure.suptitle("Same scenes, noise and service times; below 0: PGF is faster. Bars: 95 %")
     return figure
+
+
+def legend_below(ax: Axes) -> None:
+    """A legend under the axes' label, where no data are."""
+    ax.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.19), ncols=2, frameon=False)
 
 
 # -- tables ------------------------------------------------------------------------------------

@@ -4,14 +4,16 @@ import math
 from pathlib import Path
 
 import polars as pl
+from figure6_report import legend_below
 from matplotlib.figure import Figure
 from study_rows import POLICIES, difference, fleets, over_seeds, read, table_row, text
 
 from pgf_jax.files import png, write_atomically
 from pgf_jax.fleet.metrics import Interval
+from pgf_jax.sweeping.figure6 import COLORS as PALETTE
 from pgf_jax.sweeping.figure6 import MARKERS
 
-COLORS = {name: f"C{i}" for i, name in enumerate(POLICIES)} | {"autonomous": "0.45"}
+COLORS = dict(zip(POLICIES, PALETTE, strict=False))
 LOSS = 0.05  # accepted loss of success or throughput, against a robot that is always served
 DEFAULT = {"service time": "8 s", "window": "2 s", "operators": "1", "computers": "of their own",
            "scenes": "all three"}  # fmt: skip
@@ -76,7 +78,7 @@ def _leads(rows: Rows) -> Figure:
                 points = [(r, p) for r, p in points if p.n > 1]
                 if not points:
                     continue
-                color = f"C{i}"
+                color = PALETTE[i % len(PALETTE)]
                 x = [r for r, _ in points]
                 ax.plot(x, [p.mean for _, p in points], marker=MARKERS[i % len(MARKERS)],
                         markersize=4, color=color, label=value)  # fmt: skip
@@ -87,9 +89,9 @@ def _leads(rows: Rows) -> Figure:
             ax.set_xticks(rows.sizes)
             if row == 0:
                 ax.set_title(question)
-                ax.legend(fontsize=7)
             else:
-                ax.set_xlabel("robots")
+                ax.set_xlabel("fleet size R (robots)")
+                legend_below(ax)
         axes[0, 0].set_ylabel("PGF less its rival (s)")
         axes[1, 0].set_ylabel("PGF with best, less its rival (s)")
     figure.suptitle(
@@ -133,10 +135,11 @@ def _fleets(rows: Rows) -> Figure:
             x = [r for r, *_ in points]
             ax.plot(x, [s * p.mean for _, p, s in points], label=policy, color=COLORS[policy],
                     marker=MARKERS[i % len(MARKERS)], markersize=4)  # fmt: skip
-        ax.set(xlabel="robots", ylabel=label, xticks=rows.sizes)
+        ax.set(xlabel="fleet size R (robots)", ylabel=label, xticks=rows.sizes)
         ax.grid(alpha=0.3)
     axes[2].set_ylim(bottom=0)
-    axes[2].legend(fontsize=7, ncols=2, loc="lower left")
+    handles, labels = axes[2].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize="small")
     figure.suptitle(
         "One operator, all three scene classes: means. Intervals of differences: see the tables"
     )

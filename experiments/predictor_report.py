@@ -4,7 +4,6 @@ Part of `train_predictors.py`.
 """
 
 import dataclasses
-import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -15,6 +14,7 @@ from matplotlib.figure import Figure
 from predictor_data import Data
 
 from pgf_jax.batching.requests import GainPredictor
+from pgf_jax.files import png
 from pgf_jax.guidance.predictors.features import STATE
 from pgf_jax.planning.types import LOOK_AHEAD
 from pgf_jax.scene import PRESETS
@@ -135,10 +135,8 @@ def draw_calibration(forks: Forks, predictors: Mapping[str, Sequence[GainPredict
     limits = ax.get_xlim()
     ax.plot(limits, limits, color="0.7", linestyle=":", label="as predicted")
     ax.set(xlabel="predicted gain (units of cost)", ylabel="true gain, mean and 95 %")
-    ax.legend()
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150)
-    return buffer.getvalue()
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return png(figure)
 
 
 def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
