@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pgf_jax.arguments import parse
-from pgf_jax.errors import BadInput, WorkersLost
+from pgf_jax.errors import BadInput, WorkersLost, did_you_mean
 
 PROG = "pgf-jax"
 LOST, BAD_INPUT, INTERRUPTED = 1, 2, 130
@@ -70,7 +70,10 @@ def _main(arguments: list[str]) -> int:
     if not arguments:
         print(_help(), file=sys.stderr)
     if not arguments or arguments[0] not in COMMANDS:
-        got = repr(arguments[0]) if arguments else "none"
+        got = "none"
+        if arguments:
+            known = [*COMMANDS, "--help", "--version"]
+            got = f"{arguments[0]!r}{did_you_mean(arguments[0], known)}"
         raise BadInput(f"command: expected one of {', '.join(COMMANDS)}, got {got}")
     command = COMMANDS[arguments[0]]
     module, name = command.config.split(":")

@@ -14,10 +14,11 @@ import os
 import sys
 import types
 import typing
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pgf_jax.errors import BadInput, short_repr
+from pgf_jax.errors import BadInput, a, did_you_mean, kind_of, short_repr
 
 MAX_SEED = 2**32 - 1  # a seed is one word of a noise key
 
@@ -91,10 +92,46 @@ Seed = Annotated[int, Bounds(0, MAX_SEED)]
 Seconds = Annotated[float, Bounds(0.0, unit="seconds")]
 
 
-def check_choice(name: str, value: object, choices: list[str]) -> None:
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
     """BadInput unless `value` is one of `choices`."""
     if not isinstance(value, str) or value not in choices:
-        raise BadInput(f"{name}: expected one of {', '.join(choices)}, got {short_repr(value)}")
+        raise _wrong(name, f"one of {', '.join(choices)}", value, choices)
+
+
+def check_type(
+    name: str, value: object, kind: type, *, expected: str | None = None, hint: str = ""
+) -> None:
+    """BadInput unless `value` is a `kind`.
+
+    Args:
+      name: of the argument.
+      value: what was given.
+      kind: its class.
+      expected: what is expected, for the message; None: the class.
+      hint: how to come by one, for the message.
+    """
+    if isinstance(value, kind):
+        return
+    more = f"; {hint}" if hint else ""
+    if value is kind:
+        more = f": did you mean {kind.__name__}(...)?"
+    raise BadInput(f"{name}: expected {expected or a(kind)}, got {kind_of(value)}{more}")
+
+
+def check_path(name: str, value: Any) -> Path:
+    """The value as a path; BadInput unless it is a path, or text that can be one."""
+    if isinstance(value, Path):
+        path = value
+    elif isinstance(value, str | os.PathLike):
+        try:
+            path = Path(value)
+        except Exception:  # a path of bytes, or a foreign class that fails
+            raise _wrong(name, "a path", value) from None
+    else:
+        raise _wrong(name, "a path", value)
+    if "\0" in str(path):
+        raise _wrong(name, "a path", value)
+    return path
 
 
 def check_int(name: str, value: object, least: int, most: int | None = None) -> None:
@@ -142,18 +179,18 @@ def _taken(name: str, value: Any, hint: Any, bounds: Bounds | None = None) -> An
         return None if value is None else _taken(name, value, kinds[0], bounds)
     if origin is Literal:
         if not isinstance(value, str) or value not in inner:
-            raise _wrong(name, f"one of {', '.join(inner)}", value)
+            raise _wrong(name, f"one of {', '.join(inner)}", value, inner)
         return value
     if origin is tuple:
         if not isinstance(value, list | tuple | range) or value[_MOST:]:
-            raise _wrong(name, f"a list of at most {_MOST} values", value)
+            raise _wrong(name, _list_words(name, value, inner, bounds), value)
         kinds = inner[:1] * len(value) if Ellipsis in inner or len(inner) != len(value) else inner
         pairs = zip(value, kinds, strict=True)
         taken = tuple(_taken(name, one, kind, bounds) for one, kind in pairs)
         same = isinstance(value, tuple) and all(map(operator.is_, taken, value))
         return value if same else taken
     if hint is Path:
-        return _path(name, value)
+        return check_path(name, value)
     if hint is str and isinstance(value, Path):
         return str(value)
     if hint in (int, float):
@@ -164,19 +201,25 @@ def _taken(name: str, value: Any, hint: Any, bounds: Bounds | None = None) -> An
     return value
 
 
-def _path(name: str, value: Any) -> Path:
-    if isinstance(value, Path):
-        path = value
-    elif isinstance(value, str | os.PathLike):
-        try:
-            path = Path(value)
-        except Exception:  # a path of bytes, or a foreign class that fails
-            raise _wrong(name, "a path", value) from None
-    else:
-        raise _wrong(name, "a path", value)
-    if "\0" in str(path):
-        raise _wrong(name, "a path", value)
-    return path
+def _list_words(name: str, value: Any, inner: tuple[Any, ...], bounds: Bounds | None) -> str:
+    """What is expected in place of `value`, which is no list or too long a one."""
+    if isinstance(value, list | tuple | range):
+        return f"a list of at most {_MOST} values"
+    if Ellipsis not in inner:
+        return f"a list of {len(inner)} {plural(inner[0])}"
+    words = f"a list of {plural(inner[0])}"
+    try:
+        _taken(name, value, inner[0], bounds)
+    except BadInput:
+        return words
+    several = tuple(value.replace(",", " ").split()) if isinstance(value, str) else (value,)
+    return f"{words}, as in {name}={short_repr(several)}"
+
+
+def plural(hint: Any) -> str:
+    """Several values of a type, for a message: "whole numbers"."""
+    kind = typing.get_args(hint)[0] if typing.get_origin(hint) is Annotated else hint
+    return {int: "whole numbers", float: "numbers", Path: "paths"}.get(kind, "names")
 
 
 def _number(name: str, value: Any, kind: Any, bounds: Bounds | None) -> Any:
@@ -198,5 +241,6 @@ def _number(name: str, value: Any, kind: Any, bounds: Bounds | None) -> Any:
     return taken
 
 
-def _wrong(name: str, expected: str, value: Any) -> BadInput:
-    return BadInput(f"{name}: expected {expected}, got {short_repr(value)}")
+def _wrong(name: str, expected: str, value: Any, choices: Sequence[str] = ()) -> BadInput:
+    hint = did_you_mean(value, choices) if isinstance(value, str) else ""
+    return BadInput(f"{name}: expected {expected}, got {kind_of(value)}{hint}")

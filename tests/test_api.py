@@ -70,6 +70,58 @@ def test_configs_need_no_jax(name):
     assert python(code) == "False False"
 
 
+SCENE = "pgf_jax.sample_scene(0)"
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (f"plan({SCENE}, 0)", "plan(key, scene): the arguments are swapped, got a Scene first"),
+        (
+            "plan('7', 'x.xml')",
+            "key: expected one JAX key (uint32 words) or a whole number, got",
+        ),
+        (
+            "plan(0, 'x.xml')",
+            "scene: expected a Scene (or several), got 'x.xml'; pgf_jax.load_scene reads a file",
+        ),
+        ("plan(0, [1])", "scene: expected a Scene (or several), got 1"),
+        (
+            f"plan(0, {SCENE}, pgf_jax.SweepConfig())",
+            "config: expected a PlanConfig, got a SweepConfig",
+        ),
+        ("plan(0, [], 'native')", "config: expected a PlanConfig, got 'native'"),
+        ("sweep(pgf_jax.PlanConfig())", "config: expected a SweepConfig, got a PlanConfig"),
+        ("sweep([])", "config: expected a SweepConfig, got []; sweeps takes several"),
+        (
+            "sweep(pgf_jax.SweepConfig)",
+            "config: expected a SweepConfig, got the class SweepConfig: did you mean "
+            "SweepConfig(...)?",
+        ),
+        ("sweeps(pgf_jax.SweepConfig())", "configs: expected a list of SweepConfig, got a SweepC"),
+        ("sweeps([pgf_jax.PlanConfig()])", "configs: expected a SweepConfig, got a PlanConfig"),
+        ("train('x', 'y', pgf_jax.PlanConfig())", "config: expected a TrainConfig, got a PlanC"),
+        ("collect(pgf_jax.TrainConfig())", "config: expected a CollectConfig, got a TrainConfig"),
+        (
+            "verify('x')",
+            "config: expected a VerifyConfig, got 'x'; VerifyConfig(folder) names it",
+        ),
+        ("SweepConfig(robots=5)", "robots: expected a list of whole numbers, as in robots=(5,), g"),
+        (
+            "SweepConfig(policies='pgf')",
+            "policies: expected a list of names, as in policies=('pgf'",
+        ),
+        ("sample_scene(7, 'Wide')", "preset: expected one of tight, medium, wide, got 'Wide': did"),
+        (f"load_scene({SCENE})", "path: expected a path, got a Scene"),
+        ("load_plan(None)", "path: expected a path, got None"),
+    ],
+)
+def test_wrong_arguments_are_one_line(call, message):
+    with pytest.raises(pgf_jax.BadInput) as error:
+        eval(f"pgf_jax.{call}")
+    assert str(error.value).startswith(message)
+
+
 def test_what_is_not_there_is_named():
     with pytest.raises(AttributeError, match="'pgf_jax' has no attribute 'nothing'"):
         _ = pgf_jax.nothing

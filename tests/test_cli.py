@@ -74,7 +74,7 @@ ARGUMENTS = {
         ["plan", "--scene-class", "tight", "--bogus", "3"],
         "unrecognized options: --bogus 3",
     ),
-    "stray": (["plan", "--scene-class", "tight", "stray"], "unrecognized options: stray"),
+    "stray": (["plan", "stray", "--scene-class", "tight"], "unrecognized options: stray"),
     "no scene": (["plan"], "--scene, --scene-class: expected one of the two, got neither"),
     "no file": (
         ["plan", "--scene"],
@@ -158,7 +158,7 @@ ARGUMENTS = {
     ),
     "classes": (
         ["collect", "human", "--scenes", 1, "--out", "x", "--classes", "flat"],
-        "--classes: expected one of medium, tight, wide, got 'flat'",
+        "--classes: expected one of tight, medium, wide, got 'flat'",
     ),
     "sweep": (["sweep", "--robots", "-1"], "robots"),
     "sweep preset": (["sweep", "--preset", "x"], "--preset: expected one of paper, quick, got 'x'"),
@@ -183,6 +183,71 @@ ARGUMENTS = {
 }
 
 
+COLLECT = ("collect", "human", "--out", "x")
+RENDER = ("render", "plan", "x", "--out", "y.png")
+TRAIN = ("train", "--data", "x")
+# What somebody types who has not read the help, and the end of the line that says what was meant.
+MISTAKES = {
+    ("swep",): "got 'swep': did you mean sweep?",
+    ("SWEEP",): "got 'SWEEP': did you mean sweep?",
+    ("fit",): "got 'fit': did you mean fit-operator?",
+    ("help",): "got 'help': did you mean --help?",
+    ("sweep", "--robot", "5"): "unrecognized option --robot: did you mean --robots?",
+    ("sweep", "--robot=5"): "unrecognized option --robot: did you mean --robots?",
+    ("sweep", "-robots", "5"): "unrecognized option -robots: did you mean --robots?",
+    ("sweep", "robots", "5"): "unrecognized option robots: did you mean --robots?",
+    ("sweep", "--policy", "pgf"): "unrecognized option --policy: did you mean --policies?",
+    ("sweep", "--class", "wide"): "unrecognized option --class: did you mean --scene-class?",
+    ("sweep", "--output", "x"): "unrecognized option --output: did you mean --out?",
+    ("sweep", "--serv", "3"): "--serv: did you mean --service-mean or --service-sd?",
+    ("sweep", "--verbose"): "unrecognized options: --verbose (see pgf-jax sweep --help)",
+    (*TRAIN, "--outt", "y"): "unrecognized option --outt: did you mean --out?",
+    ("fit-operator", "x"): "--log; unrecognized: x (see pgf-jax fit-operator --help)",
+    (
+        "verify",
+        "--folder",
+        "x",
+    ): "option --folder: expected as in pgf-jax verify FOLDER",
+    ("verify", "--cell", "3", "x"): "unrecognized option --cell: did you mean --cells?",
+    ("verify", "--bogus", "x"): "unrecognized options: --bogus (see pgf-jax verify --help)",
+    ("sweep", "--resume", "yes"): "--resume: expected no value, got 'yes'",
+    ("sweep", "--resume=yes"): "--resume: expected no value, got 'yes'",
+    ("console", "--robots", "1", "2"): "--robots: expected one value, got another, '2'",
+    ("sweep", "--robots", "1,5"): (
+        "--robots: expected whole numbers with spaces between them, as in --robots 1 5, got '1,5'"
+    ),
+    ("sweep", "--policies", "pgf,queue"): "as in --policies pgf queue, got 'pgf,queue'",
+    (*COLLECT, "--classes", "tight,wide"): "as in --classes tight wide, got 'tight,wide'",
+    ("plan", "--scene", "a.xml,b.xml"): "as in --scene a.xml b.xml, got 'a.xml,b.xml'",
+    (*TRAIN, "--out", "y", "--hidden", "[64, 32]"): "as in --hidden 64 32, got '[64, 32]'",
+    (*RENDER, "--size", "100,200"): "expected 2 whole numbers, as in --size 1280 800, got fewer",
+    (*RENDER, "--size", "a", "2"): "--size: expected a whole number, got 'a'",
+    ("sweep", "--robots", "1", "x"): "--robots: expected a whole number, got 'x'",
+    ("sweep", "--policies", "PGF"): "got 'PGF': did you mean pgf?",
+    ("sweep", "--policies", "or_hitl"): "got 'or_hitl': did you mean or-hitl?",
+    ("console", "--policy", "PGF"): "got 'PGF': did you mean pgf?",
+    ("sweep", "--preset", "Quick"): "got 'Quick': did you mean quick?",
+    (*COLLECT, "--scenes", "1", "--classes", "Tight"): "got 'Tight': did you mean tight?",
+    (*RENDER, "--view", "3D"): "--view: expected one of 3d, top, got '3D': did you mean 3d?",
+    ("render", "plans", "x", "--out", "y.png"): "got 'plans': did you mean plan?",
+}
+
+
+@pytest.mark.parametrize("typed", MISTAKES, ids=" ".join)
+def test_a_mistake_is_told_what_was_meant(typed, capsys):
+    code, out, err = run(typed, capsys)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.endswith(f"{MISTAKES[typed]}\n")
+
+
+def test_a_file_may_have_a_comma(tmp_path, monkeypatch, capsys):
+    seen = []
+    monkeypatch.setitem(COMMANDS, "plan", cli.Command("", COMMANDS["plan"].config, seen.append))
+    path = scene_file(tmp_path / "a,b.xml")
+    assert run(["plan", "--scene", path], capsys) == (0, "", "")
+    assert seen[0].scene == (path,)
+
+
 @pytest.mark.parametrize("case", ARGUMENTS)
 def test_a_wrong_argument_is_one_line(case, capsys):
     arguments, expected = ARGUMENTS[case]
@@ -193,7 +258,7 @@ def test_a_wrong_argument_is_one_line(case, capsys):
 
 
 def test_a_rejection_of_a_new_kind_is_one_line_too(monkeypatch, capsys):
-    monkeypatch.setattr(pgf_jax.arguments, "_rejection", lambda event, prog: None)
+    monkeypatch.setattr(pgf_jax.arguments, "_rejection", lambda *_: None)
     code, out, err = run(["plan", "--scene-class", "tight", "--physics", "x"], capsys)
     assert (code, out) == (2, "") and err.count("\n") == 1
     assert "invalid choice 'x' for argument '--physics'" in err and "│" not in err
@@ -340,7 +405,9 @@ def test_the_flags_that_are_promised(capsys):
     for flag in [*flags.split(), "predictor"]:
         assert f"--{flag} " in out
     words = " ".join(out.replace("│", " ").split())
-    assert words.count("(default: none)") == 2  # the operator, and the scene files
+    # The operator, the scene files, and weights of the cost.
+    assert words.count("(default: none)") == 3
+    assert "--plugin MODULE" in words
     assert "(default: stuck)" in words and "(default: planar)" in words
 
 
@@ -366,7 +433,8 @@ def test_help_of_a_command_at_80_columns(name, monkeypatch, capsys):
     code, out, err = run([name, "--help"], capsys)
     assert (code, err) == (0, "")
     assert out.startswith(f"usage: pgf-jax {name} ")
-    assert max(map(len, out.splitlines())) <= 80
+    usage, *lines = out.splitlines()
+    assert max(map(len, lines)) <= 80 and len(usage) <= 100  # tyro does not wrap the usage
     words = " ".join(re.sub("[│╭╮╰╯─]", " ", out).split())
     options = pgf_jax.arguments._options(config_of(name))
     assert texts(name).keys() - {"config"} == options.keys()

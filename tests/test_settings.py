@@ -5,20 +5,20 @@ import math
 import sys
 import typing
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import pytest
 from tyro.conf import Positional
 
 from pgf_jax.collection.config import CollectConfig
 from pgf_jax.console.config import ConsoleConfig
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, did_you_mean
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.inspection.config import ReproduceConfig, VerifyConfig
 from pgf_jax.plans.config import PlanCommand, PlanConfig
 from pgf_jax.profiling.config import ProfileConfig
 from pgf_jax.render.config import RenderConfig
-from pgf_jax.settings import MAX_SEED, Bounds, Count, Seconds, check_fields, check_int
+from pgf_jax.settings import MAX_SEED, Bounds, Count, Seconds, check_fields, check_int, check_type
 from pgf_jax.sweeping.config import SweepConfig
 from pgf_jax.training.config import TrainConfig
 
@@ -33,6 +33,9 @@ class Settings:
     any: float = 0.0
     path: Annotated[Path | None, "no bounds"] = None
     outside: Annotated[tuple[int, ...] | None, Bounds(1)] = None
+    names: tuple[str, ...] = ()
+    pair: tuple[int, int] = (1, 2)
+    loss: Literal["rmse", "mae"] = "rmse"
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -88,12 +91,54 @@ def test_what_bounds_contain(bounds, inside, outside):
         ({"any": "x"}, "any: expected a number, got 'x'"),
         ({"path": 1}, "path: expected a path, got 1"),
         ({"outside": (1, 0)}, "outside: expected a whole number 1 or more, got 0"),
+        ({"some": 5}, "some: expected a list of whole numbers, as in some=(5,), got 5"),
+        ({"some": "5"}, "some: expected a list of whole numbers, got '5'"),
+        ({"some": range(10_001)}, "some: expected a list of at most 10000 values, got range("),
+        ({"names": "a"}, "names: expected a list of names, as in names=('a',), got 'a'"),
+        ({"names": "a,b"}, "names: expected a list of names, as in names=('a', 'b'), got 'a,b'"),
+        ({"pair": 1}, "pair: expected a list of 2 whole numbers, got 1"),
+        ({"loss": "RMSE"}, "loss: expected one of rmse, mae, got 'RMSE': did you mean rmse?"),
+        ({"path": Bounds(1)}, "path: expected a path, got a Bounds"),
     ],
 )
 def test_a_value_out_of_bounds_is_named(given, message):
     with pytest.raises(BadInput) as error:
         Settings(**given)
-    assert str(error.value) == message
+    assert str(error.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("got", "hint"),
+    [
+        ("PGF", ": did you mean pgf?"),
+        ("or_hitl", ": did you mean or-hitl?"),  # and not or-hitl-window
+        ("hitl", ": did you mean or-hitl or or-hitl-window?"),
+        ("pfg", ""),
+        ("quue", ": did you mean queue?"),
+        ("queued", ": did you mean queue?"),
+        ("q", ""),
+        ("", ""),
+        ("z" * 10_000, ""),
+    ],
+)
+def test_hints(got, hint):
+    assert did_you_mean(got, ["pgf", "or-hitl", "or-hitl-window", "queue", "question"]) == hint
+
+
+@pytest.mark.parametrize(
+    ("value", "got"),
+    [
+        (Settings(), "a Settings"),
+        (Bounds, "the class Bounds: did you mean Bounds(...)?"),
+        ({"least": 1}, "{'least': 1}"),
+        (print, "the function print"),
+    ],
+)
+def test_a_value_of_another_class_is_named(value, got):
+    check_type("config", Bounds(), Bounds)
+    with pytest.raises(BadInput) as error:
+        check_type("config", value, Bounds)
+    assert str(error.value) == f"config: expected a Bounds, got {got}"
 
 
 def test_what_lies_within_is_taken():

@@ -23,6 +23,7 @@ from pgf_jax.collection.scenes import run_scenes
 from pgf_jax.collection.sessions import replay_sessions
 from pgf_jax.errors import BadInput
 from pgf_jax.provenance import environment
+from pgf_jax.settings import check_type
 from pgf_jax.tables.runs import RUN, read_runs, write_runs
 
 
@@ -73,6 +74,7 @@ def collect(
         itself, or see `replay_sessions`.
       WorkersLost: a worker process died; the runs that had been written are kept.
     """
+    check_type("config", config, CollectConfig)
     began = time.monotonic()
     progress = on_progress or (lambda done, wanted: None)
     if config.log:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.config import CLOCK_OPTIONS, ClockSeconds, Gain
+from pgf_jax.fleet.policies import check_policy
 from pgf_jax.guidance.operators.registry import operator_names
 from pgf_jax.physics.config import PhysicsName
 from pgf_jax.planning.config import (
@@ -152,6 +153,7 @@ class ConsoleConfig:
                 f"host: expected an address such as {LOOPBACK} or 0.0.0.0, got {self.host!r}"
             ) from None
         check_choice("operator", self.operator, ["live", "replay", *operator_names()])
+        check_policy(self.policy)
         if self.policy == "oracle-gain" and self.operator in ("live", "replay"):
             raise BadInput(
                 "policy: oracle-gain asks the operator at every iteration what they would say; "

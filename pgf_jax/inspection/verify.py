@@ -14,6 +14,7 @@ from rich.table import Table
 from pgf_jax.errors import BadInput
 from pgf_jax.inspection.config import VerifyConfig
 from pgf_jax.inspection.folder_check import Checked, Finding, check_files
+from pgf_jax.settings import check_type
 from pgf_jax.streams import stream
 from pgf_jax.sweeping import cell_file
 from pgf_jax.sweeping.config import INPUTS
@@ -78,6 +79,8 @@ def verify(config: VerifyConfig, *, quiet: bool = False) -> Verification:
     Raises:
       BadInput: the folder holds no results, or another sweep is at it.
     """
+    hint = "VerifyConfig(folder) names it" if isinstance(config, str | Path) else ""
+    check_type("config", config, VerifyConfig, hint=hint)
     seed = secrets.randbelow(1 << 31) if config.seed is None else config.seed
     checked = check_files(config.folder)
     drawn = _draw(checked, config.cells, seed)

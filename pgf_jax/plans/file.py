@@ -18,6 +18,7 @@ from pgf_jax.planning.types import Status
 from pgf_jax.plans.config import PlanConfig
 from pgf_jax.provenance import environment
 from pgf_jax.scene.scene import Scene
+from pgf_jax.settings import check_path, check_type
 from pgf_jax.simulation.loop import PlannedFleet
 from pgf_jax.simulation.planned_robots import Segment
 
@@ -167,8 +168,16 @@ def save_plan(folder: Path | str, plan: Plan) -> Path:
     Beside the plan it says what made it: versions, commit, processor.
 
     Raises:
-      BadInput: it cannot be written there.
+      BadInput: it cannot be written there, or an argument is something else.
     """
+    if isinstance(folder, Plan):
+        raise BadInput("save_plan(folder, plan): the arguments are swapped, got a Plan first")
+    check_type("plan", plan, Plan)
+    if check_path("folder", folder).name.endswith(SUFFIX):
+        raise BadInput(
+            f"folder: expected a folder, got {short_repr(str(folder))}; "
+            f"the file in it is called {plan.scene.name}{SUFFIX}"
+        )
     path = plan_path(folder, plan.scene.name)
     content = plan.to_json() | {"made_by": environment()}
     write_atomically(path, (json.dumps(content, allow_nan=False) + "\n").encode())
@@ -180,9 +189,9 @@ def load_plan(path: Path | str) -> Plan:
 
     Raises:
       BadInput: one line that names the file: missing, truncated, or with a field that is missing or
-        wrong.
+        wrong; or it is no path.
     """
-    path = Path(path)
+    path = check_path("path", path)
     data = read_file(path, f"a plan ({SUFFIX})", _LARGEST)
     try:
         content = parse_json(data)

@@ -5,6 +5,7 @@ planned as in a sweep, except that its robot has an operator of its own.
 """
 
 import hashlib
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, overload
 
@@ -12,12 +13,12 @@ import numpy as np
 
 from pgf_jax.batching.planner_service import planner_service_of
 from pgf_jax.batching.requests import GainPredictor
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, kind_of
 from pgf_jax.guidance.predictors.registry import predictor_spec
 from pgf_jax.plans.config import PlanConfig
 from pgf_jax.plans.file import Plan
 from pgf_jax.scene.scene import Scene
-from pgf_jax.settings import MAX_SEED
+from pgf_jax.settings import MAX_SEED, check_int, check_type
 from pgf_jax.simulation.loop import run_fleets
 from pgf_jax.simulation.single_robot import single_robot
 
@@ -45,11 +46,14 @@ def plan(key, scene, config=None):
       The plan, or a list of plans in the scenes' order. An unsolved plan is a result.
 
     Raises:
-      BadInput: not a key, or a checkpoint that `config` names or needs cannot be used.
+      BadInput: not a key, a scene or a configuration, or a checkpoint that `config` names or needs
+        cannot be used.
     """
+    if isinstance(key, Scene):
+        raise BadInput("plan(key, scene): the arguments are swapped, got a Scene first")
     seed = seed_of(key)
-    one = isinstance(scene, Scene)
-    scenes = [scene] if one else list(scene)
+    one = isinstance(scene, str) or not isinstance(scene, Iterable)
+    scenes: list[Any] = [scene] if one else list(scene)
     plans = plan_scenes([(each, seed) for each in scenes], config)
     return plans[0] if one else plans
 
@@ -73,7 +77,10 @@ def iter_plans(
     Yields:
       The number of a scene and its plan, as soon as it is done.
     """
-    scenes, config = list(scenes), config or PlanConfig()
+    scenes, config = list(scenes), PlanConfig() if config is None else config
+    check_type("config", config, PlanConfig)
+    for pair in scenes:
+        _check_pair(pair)
     predictor = _load_predictor(config)
     sizes = sorted({len(scene.objects) for scene, _ in scenes})
     for n_objects in sizes:  # an engine is compiled for one number of objects
@@ -92,6 +99,15 @@ def iter_plans(
         ]
         for done in run_fleets(fleets, planner_service):
             yield done.label, Plan.from_task(config, scenes[done.label][1], done)
+
+
+def _check_pair(pair: Any) -> None:
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        raise BadInput(f"scenes: expected (scene, seed) pairs, got {kind_of(pair)}")
+    scene, seed = pair
+    hint = "pgf_jax.load_scene reads a file" if isinstance(scene, str | os.PathLike) else ""
+    check_type("scene", scene, Scene, expected="a Scene (or several)", hint=hint)
+    check_int("seed", seed, 0, MAX_SEED)
 
 
 def _load_predictor(config: PlanConfig) -> GainPredictor | None:
@@ -124,7 +140,7 @@ def seed_of(key: Any) -> int:
 
         words = jax.random.key_data(key)
     if dtype is None or words.dtype != np.uint32 or words.ndim != 1 or words.size == 0:
-        got = type(key).__name__ if dtype is None else f"{dtype} of shape {words.shape}"
+        got = kind_of(key) if dtype is None else f"{dtype} of shape {words.shape}"
         raise BadInput(f"key: expected one JAX key (uint32 words) or a whole number, got {got}")
     words = np.asarray(words)
     if not words[:-1].any():

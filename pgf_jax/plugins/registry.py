@@ -125,6 +125,8 @@ class Registry(Generic[Make]):
             try:
                 check_choice(field or self.kind, name, self.names())
             except BadInput as error:
+                if "did you mean" in str(error):
+                    raise
                 raise BadInput(
                     f"{error} (one of a plugin: import it, or --plugin MODULE)"
                 ) from None

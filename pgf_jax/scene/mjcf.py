@@ -17,6 +17,7 @@ import numpy as np
 from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, is_folder, read_file
 from pgf_jax.scene.scene import HEIGHT, RADIUS, Scene
+from pgf_jax.settings import check_path
 
 GOAL_BODY = "object_3"
 
@@ -54,7 +55,7 @@ def load_scene(path: str | Path) -> Scene:
 
     Source: https://github.com/rpapallas/PGF, models/warehouse_N.xml.
     """
-    path = Path(path)
+    path = check_path("path", path)
     content = read_file(path, _WHAT, _LARGEST)
     try:
         return _read(content, path.stem)

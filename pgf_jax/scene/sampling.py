@@ -35,9 +35,10 @@ from typing import TYPE_CHECKING, Literal, Union, get_args
 
 import numpy as np
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, kind_of
 from pgf_jax.scene.scene import RADIUS, Scene
 from pgf_jax.scene.statistics import corridor_count
+from pgf_jax.settings import check_choice
 
 if TYPE_CHECKING:
     import jax
@@ -103,8 +104,7 @@ def sample_scene(
 
     Source: the classes of the published scenes (Papallas & Dogar 2022), as measured.
     """
-    if preset not in PRESETS:
-        raise BadInput(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
+    check_choice("preset", preset, PRESETS)
     words = _key_words(key)
     if name is None:
         name = f"{preset}_{sum(w << 32 * i for i, w in enumerate(reversed(words)))}"
@@ -135,7 +135,7 @@ def _key_words(key) -> list[int]:
 
         words = jax.random.key_data(key)
     if dtype is None or words.dtype != np.uint32 or words.ndim != 1 or words.size == 0:
-        got = type(key).__name__ if dtype is None else f"{dtype} of shape {key.shape}"
+        got = kind_of(key) if dtype is None else f"{dtype} of shape {key.shape}"
         raise BadInput(f"key: expected one JAX key (uint32 words) or a whole number, got {got}")
     return np.asarray(words).tolist()
 

@@ -24,6 +24,7 @@ from pgf_jax.parallel.cluster import open_cluster
 from pgf_jax.parallel.local import LocalPool
 from pgf_jax.plugins.digest import is_interactive
 from pgf_jax.plugins.registry import check_importable
+from pgf_jax.settings import check_type
 from pgf_jax.simulation.recorded_operator import LIVE
 from pgf_jax.sweeping import cell_file, columns
 from pgf_jax.sweeping.cell_store import MANIFEST, RESULTS, RUN, CellStore
@@ -113,6 +114,8 @@ def sweep(
       WorkersLost: what computes the cells is gone; finished cells are kept.
       KeyboardInterrupt: interrupted; finished cells are kept.
     """
+    hint = "sweeps takes several" if isinstance(config, list | tuple) else ""
+    check_type("config", config, SweepConfig, hint=hint)
     return sweeps([config], quiet=quiet, executor=executor)[0]
 
 
@@ -143,6 +146,9 @@ def sweeps(
       KeyboardInterrupt: interrupted; finished cells are kept.
     """
     start = time.perf_counter()
+    check_type("configs", configs, Sequence, expected="a list of SweepConfig")
+    for config in configs:
+        check_type("configs", config, SweepConfig)
     configs = [_as_recorded(config) for config in configs]
     _check_together(configs)
     loaded: Loaded = {}

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from pgf_jax.errors import BadInput
 from pgf_jax.files import png, write_atomically
 from pgf_jax.guidance.predictors import checkpoint as ckpt
+from pgf_jax.settings import check_type
 from pgf_jax.tables.forks import read_forks
 from pgf_jax.tables.runs import Mode, read_runs, runs_path
 from pgf_jax.training.config import TrainConfig
@@ -72,6 +73,7 @@ def train(data_dir: Path | str, out_dir: Path | str, config: TrainConfig) -> dic
     Raises:
       BadInput: a file is missing or malformed, or has rows of fewer than two scenes.
     """
+    check_type("config", config, TrainConfig)
     rows: dict[str, Rows] = {}
     report: dict[str, Any] = {}
     for network, recipe in RECIPES.items():

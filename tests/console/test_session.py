@@ -498,7 +498,7 @@ def test_a_replay_is_watched(closed, tmp_path):
         ({"operator": "replay"}, "log: expected with operator replay and only with it"),
         ({"log": Path("log")}, "log: expected with operator replay and only with it"),
         ({"operator": "none", "resume": True}, "resume: only live sessions are resumed"),
-        ({"policy": "none such"}, "policies: expected one of pgf, "),
+        ({"policy": "none such"}, "policy: expected one of pgf, "),
         ({"engine": "none such"}, "engine: expected one of "),
         ({"seed": -1}, "seed: expected a whole number"),
         ({"window": -1.0}, "window: expected a number"),

@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,6 +49,22 @@ def a_plan() -> Plan:
 @pytest.fixture
 def content() -> dict:
     return a_plan().to_json()
+
+
+def test_wrong_arguments_are_named(tmp_path):
+    plan = a_plan()
+    cases: list[tuple[Any, Any, str]] = [
+        (plan, tmp_path, "save_plan(folder, plan): the arguments are swapped, got a Plan first"),
+        (tmp_path, plan.scene, "plan: expected a Plan, got a Scene"),
+        (None, plan, "folder: expected a path, got None"),
+        ("x.plan.json", plan, "folder: expected a folder, got 'x.plan.json'; the file in it is "),
+    ]
+    for folder, given, message in cases:
+        with pytest.raises(BadInput) as error:
+            save_plan(folder, given)
+        assert str(error.value).startswith(message)
+    with pytest.raises(BadInput, match=r"^path: expected a path, got a Plan$"):
+        load_plan(plan)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_plan_file_by_hand(tmp_path):

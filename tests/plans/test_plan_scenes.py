@@ -147,6 +147,14 @@ def test_each_scene_has_its_own_seed():
     assert both[1].to_json() == plan(2, pairs[1][0], NATIVE).to_json()
 
 
+def test_scenes_without_their_seeds_are_refused():
+    scene = sample_scene(1, "wide")
+    with pytest.raises(BadInput, match=r"^scenes: expected \(scene, seed\) pairs, got a Scene$"):
+        plan_scenes([scene], NATIVE)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(BadInput, match=r"^seed: expected a whole number within .*, got 0\.5$"):
+        plan_scenes([(scene, 0.5)], NATIVE)  # pyright: ignore[reportArgumentType]
+
+
 def test_asking_without_an_operator_changes_nothing(wide):
     config = dataclasses.replace(NATIVE, ask="after:1")
     unasked = plan(0, sample_scene(0, "wide"), config)

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from pgf_jax.batching.requests import GainPredictor
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, did_you_mean
 from pgf_jax.files import is_folder
 from pgf_jax.guidance.predictors.checkpoint import Checkpoint, load_network, shipped_checkpoints
 from pgf_jax.guidance.predictors.network import CostDifference, FailureClassifier, GainNetwork
@@ -47,7 +47,8 @@ class PredictorSpec:
         """
         folder = self.files()
         if not is_folder(folder):
-            raise BadInput(f"{folder}: no such folder, expected one with checkpoints")
+            hint = did_you_mean(str(folder), PREDICTORS)
+            raise BadInput(f"{folder}: no such folder, expected one with checkpoints{hint}")
         checkpoints = tuple(load_network(folder, network) for network in NETWORKS[self.name])
         networks = [checkpoint.predictor for checkpoint in checkpoints]
         # NumPy leaves: JAX arrays would start JAX's backend in every process that unpickles them.
