@@ -5,7 +5,7 @@ says what has happened. So a task is repeated alone, in one call for each iterat
 with the log. Where results depend on the processor, a task that goes another way is refused.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from pgf_jax.simulation.fleet_spec import FleetSpec
 from pgf_jax.simulation.planned_robots import PlannedRobots
 from pgf_jax.sweeping import cell_file
 from pgf_jax.sweeping.resolve import CellSpec, config_of, differences, resolve
+from pgf_jax.sweeping.stored_fleet import CellChoice, stored_cells
 from pgf_jax.tables import results
 
 _INPUTS = (
@@ -192,7 +193,8 @@ def find_and_reproduce(config: ReproduceConfig) -> Reproduction:
     Raises:
       BadInput: the folder holds no such iteration; or it goes another way here.
     """
-    for file, content in _cells(config):
+    chosen = CellChoice(config.policy, config.robots, config.seed)
+    for file, content in stored_cells(config.folder, chosen):
         where = _where(config, content)
         if where is not None:
             return _reproduce_stored(config, file, content, where)
@@ -204,26 +206,6 @@ def find_and_reproduce(config: ReproduceConfig) -> Reproduction:
     raise BadInput(
         f"{config.folder}: holds no fleet of {config.robots} robots under {config.policy}"
     )
-
-
-def _cells(config: ReproduceConfig) -> Iterator[tuple[Path, cell_file.Content]]:
-    """The cells of the fleets that the settings name."""
-    if not (config.folder / cell_file.FOLDER).is_dir():
-        raise BadInput(
-            f"{config.folder}: holds no results of a sweep (no folder {cell_file.FOLDER})"
-        )
-    for key in sorted(cell_file.finished(config.folder)):
-        file = cell_file.path(config.folder, key)
-        content = cell_file.read(file)
-        settings = content.about.get("config")
-        settings = settings if isinstance(settings, dict) else {}
-        if config.policy is not None and settings.get("policies") != [config.policy]:
-            continue
-        if config.robots is not None and settings.get("robots") != [config.robots]:
-            continue
-        if config.seed is not None and settings.get("seed") != config.seed:
-            continue
-        yield file, content
 
 
 def _where(config: ReproduceConfig, content: cell_file.Content) -> tuple[int, int, int] | None:

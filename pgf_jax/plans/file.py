@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,10 +17,16 @@ from pgf_jax.files import MIB, parse_json, read_file, write_atomically
 from pgf_jax.planning.types import Status
 from pgf_jax.plans.config import PlanConfig
 from pgf_jax.provenance import environment
+from pgf_jax.scene.draw import draw_scene
 from pgf_jax.scene.scene import Scene
 from pgf_jax.settings import check_path, check_type
 from pgf_jax.simulation.loop import PlannedFleet
 from pgf_jax.simulation.planned_robots import Segment
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from pgf_jax.plans.motion import Motion
 
 TERMS = ("c_d", "c_f", "c_b", "c_e", "c_s")
 SUFFIX = ".plan.json"
@@ -116,7 +122,37 @@ class Plan:
     @property
     def solved(self) -> bool:
         """Whether the reach is feasible."""
-        return self.status is Status.SOLVED
+        return self.status == Status.SOLVED
+
+    def motion(self) -> "Motion":
+        """The execution of the plan, simulated once more: poses of hand and objects over time.
+
+        Raises:
+          BadInput: the plan's engine or physics is unknown here, or it does not stay finite.
+        """
+        from pgf_jax.plans.motion import Motion
+
+        return Motion(self)
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw the plan: the shelf at first, the hand's paths, and where objects end.
+
+        Args:
+          ax: matplotlib axes to draw into; None: those of a new figure (`ax.figure`).
+
+        Raises:
+          BadInput: see `motion`.
+        """
+        motion = self.motion()
+        status = str(self.status).replace("_", " ")
+        return draw_scene(
+            self.scene,
+            ax,
+            ee_paths=motion.end_effector_paths(),
+            end_positions=motion.objects[-1],
+            title=f"{self.scene.name}: {status}, {self.pushes} pushes",
+            legend=True,
+        )
 
     def to_json(self) -> dict[str, Any]:
         """The content of the plan's file."""

@@ -7,6 +7,8 @@ from pgf_jax.planning.config import Cost
 from pgf_jax.render.paint import MUTED, RULE, Box, Canvas, text_width
 
 CURVE, INPUT, FEASIBLE = "#2f66b0", "#d1442f", "#2e9e4f"
+BID, GRANT = "#b97a00", "#7a55b5"
+BID_SIGN, GRANT_SIGN, INPUT_SIGN = "▲", "◆", "|"
 _LEAST_TOP = 1000.0  # cost at the upper edge, unless the curve is higher
 _LEAST_ITERATIONS = 10
 
@@ -17,6 +19,8 @@ def draw_costs(
     costs: Sequence[float],
     inputs_at: Sequence[int],
     *,
+    bids_at: Sequence[int] = (),
+    grants_at: Sequence[int] = (),
     size: float = 0.0,
 ) -> None:
     """Draw the cost of the best trajectory after each reach iteration, scaled as log(1 + cost).
@@ -27,6 +31,8 @@ def draw_costs(
       costs: after each iteration; costs that are not finite lie at the upper edge.
       inputs_at: for each input, how many costs there were when it came; a vertical line is drawn
         between the costs before and after it.
+      bids_at, grants_at: for each bid and each grant, likewise; a sign is drawn at the lower edge,
+        if there are numbers at the axes.
       size: of the numbers at the axes, pixels; 0: no numbers.
     """
     left, top, right, bottom = box
@@ -74,6 +80,14 @@ def draw_costs(
         # An input may come before the first rollout, when there is no curve yet.
         at = x(max(count - 0.5, 0.0))
         canvas.line([(at, top), (at, bottom)], INPUT + "b0", 1.4)
+    if size:
+        for counts, sign, color, row in (
+            (bids_at, BID_SIGN, BID, 0.6),
+            (grants_at, GRANT_SIGN, GRANT, 1.7),
+        ):
+            for count in dict.fromkeys(counts):
+                at = (x(max(count - 0.5, 0.0)), bottom - row * size)
+                canvas.text(at, sign, 1.1 * size, color, anchor="mm")
     points = [(x(i), y(cost)) for i, cost in enumerate(costs)]
     if len(points) > 1:
         canvas.polygon([(points[0][0], bottom), *points, (points[-1][0], bottom)], CURVE + "30")

@@ -28,8 +28,12 @@ def render(config: RenderConfig) -> str:
         view cannot be drawn, or the file cannot be written.
     """
     if not config.file.exists():
-        what = "a plan (NAME.plan.json)" if config.what == "plan" else "a recorded session"
+        what = {"plan": "a plan (NAME.plan.json)", "sweep": "a sweep's folder"}.get(
+            config.what, "a recorded session or a sweep's folder"
+        )
         raise BadInput(f"{config.file}: no such file, expected {what}")
+    if config.what == "sweep":
+        return _sweep_figure(config)
     if config.is_film:
         movie.check_films()
     with closing(make_view(config.view)) as view:
@@ -44,6 +48,20 @@ def render(config: RenderConfig) -> str:
         f"{config.out}: {count} frames of {size[0]} x {size[1]} pixels, "
         f"{count / config.fps:.1f} s of film"
     )
+
+
+def _sweep_figure(config: RenderConfig) -> str:
+    """Draw the figure of a sweep once more, under a name of one's choice."""
+    from pgf_jax.files import read_json, write_figure
+    from pgf_jax.sweeping.cell_store import MANIFEST
+    from pgf_jax.sweeping.figure6 import figure6
+    from pgf_jax.sweeping.load import summaries_of
+
+    summaries = summaries_of(config.file)
+    manifest = read_json(config.file / MANIFEST)
+    about = {name: manifest.get(name) for name in ("config", "versions", "code", "processor")}
+    write_figure(config.out, figure6(summaries), about)
+    return f"{config.out}: {len(summaries)} fleets"
 
 
 def _picture(config: RenderConfig) -> Draw:
@@ -62,6 +80,11 @@ def _picture(config: RenderConfig) -> Draw:
         fleet = next(iter(_recorded(config, every_ns=_LOOK_NS, start_ns=at_ns)), None)
         if fleet is None:
             raise BadInput(f"{config.file}: ends before --at {config.at:g} s")
+        if fleet.ended_ns is not None and fleet.ended_ns < at_ns:
+            raise BadInput(
+                f"{config.file}: ends after {fleet.ended_ns / 1e9:.3f} s, expected --at within it, "
+                f"got {config.at:g}"
+            )
         if config.what == "fleet":
             return _draw_fleet(fleet)
         robot = _robot(fleet, config)
@@ -127,7 +150,7 @@ def _draw_plan(robot: RobotSnapshot) -> Draw:
 
 def _motion(path: Path):
     from pgf_jax.plans.file import load_plan
-    from pgf_jax.render.motion import Motion
+    from pgf_jax.plans.motion import Motion
 
     return Motion(load_plan(path))
 
@@ -135,9 +158,12 @@ def _motion(path: Path):
 def _recorded(
     config: RenderConfig, *, every_ns: int, start_ns: int = 0, stop_ns: int | None = None
 ) -> Iterator[FleetSnapshot]:
-    from pgf_jax.sweeping import replay
+    from pgf_jax.sweeping import stored_fleet
 
-    return replay.snapshots(config.file, every_ns=every_ns, start_ns=start_ns, stop_ns=stop_ns)
+    choice = stored_fleet.CellChoice(config.policy, config.robots, config.seed)
+    return stored_fleet.snapshots(
+        config.file, every_ns=every_ns, start_ns=start_ns, stop_ns=stop_ns, choice=choice
+    )
 
 
 def _task(

@@ -7,22 +7,28 @@ from typing import Annotated, Literal
 from tyro.conf import Positional
 
 from pgf_jax.errors import BadInput
-from pgf_jax.settings import Bounds, Index, Seconds, check_fields
+from pgf_jax.settings import Bounds, Count, Index, Seconds, Seed, check_fields
 
 SUFFIXES = (".png", ".mp4")
+FIGURE_SUFFIXES = (".png", ".pdf")
 Pixels = Annotated[int, Bounds(240, 7680)]  # less is not legible, more is not played
 
 
 @dataclasses.dataclass(frozen=True)
 class RenderConfig:
-    """Draw a plan, a robot's task or a whole fleet, as a picture or as a film.
+    """Draw a plan, a robot's task or a whole fleet, as a picture or as a film; or a sweep's figure.
+
+    A fleet is simulated again, as it was recorded in a session or computed in a sweep.
 
     Attributes:
-      what: plan (the execution of a plan), task (one task of one robot), or fleet (the shelves of
-        all robots).
-      file: the plan (NAME.plan.json); for task and fleet the recorded session: its folder, or its
-        event log.
-      out: file to write: a picture (.png) or a film (.mp4).
+      what: plan (the execution of a plan), task (one task of one robot), fleet (the shelves of all
+        robots), or sweep (the figure of its results).
+      file: the plan (NAME.plan.json); for task and fleet a recorded session (its folder, or its
+        event log), or the folder of a sweep; for sweep the folder of a sweep.
+      out: file to write: a picture (.png) or a film (.mp4); the figure of a sweep may be .pdf.
+      policy: which fleet of a sweep: its policy; None: the only one there is.
+      robots: which fleet of a sweep: its size; None: the only one there is.
+      seed: which fleet of a sweep: its seed; None: the only one there is.
       robot: number of the robot, from 0; with task only.
       task: number of its task, from 0; with task only.
       at: simulated time of the picture, s; None: the plan's end, or when an operator first serves.
@@ -34,7 +40,7 @@ class RenderConfig:
       size: width and height, pixels.
     """
 
-    what: Positional[Literal["plan", "task", "fleet"]]
+    what: Positional[Literal["plan", "task", "fleet", "sweep"]]
     file: Positional[Path]
     out: Path
     robot: Index = 0
@@ -46,19 +52,27 @@ class RenderConfig:
     fps: Annotated[int, Bounds(1, 120)] = 20
     view: Literal["top", "3d"] = "top"
     size: tuple[Pixels, Pixels] = (1280, 800)
+    policy: str | None = None
+    robots: Count | None = None
+    seed: Seed | None = None
 
     GROUPS = (  # of options, for the help
         ("picture", ("out", "view", "size", "robot", "task", "at")),
+        ("sweep", ("policy", "robots", "seed")),
         ("film", ("start", "stop", "speed", "fps")),
     )
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.out.suffix.lower() not in SUFFIXES:
-            raise BadInput(f"out: expected a file {' or '.join(SUFFIXES)}, got {str(self.out)!r}")
+        suffixes = FIGURE_SUFFIXES if self.what == "sweep" else SUFFIXES
+        if self.out.suffix.lower() not in suffixes:
+            raise BadInput(f"out: expected a file {' or '.join(suffixes)}, got {str(self.out)!r}")
         for name in ("robot", "task"):
             if self.what != "task" and getattr(self, name):
                 raise BadInput(f"{name}: goes with task only, got {self.what}")
+        for name in ("policy", "robots", "seed"):
+            if self.what in ("plan", "sweep") and getattr(self, name) is not None:
+                raise BadInput(f"{name}: goes with task and fleet only, got {self.what}")
         if len(self.size) != 2:
             raise BadInput(f"size: expected a width and a height, got {self.size}")
         self._check_times()

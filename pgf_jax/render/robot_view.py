@@ -5,7 +5,17 @@ import math
 from pgf_jax.fleet.records import State
 from pgf_jax.planning.config import Cost
 from pgf_jax.planning.types import Status
-from pgf_jax.render.chart import CURVE, FEASIBLE, INPUT, draw_costs
+from pgf_jax.render.chart import (
+    BID,
+    BID_SIGN,
+    CURVE,
+    FEASIBLE,
+    GRANT,
+    GRANT_SIGN,
+    INPUT,
+    INPUT_SIGN,
+    draw_costs,
+)
 from pgf_jax.render.paint import (
     CARD,
     INK,
@@ -158,6 +168,8 @@ def _draw_facts(canvas: Canvas, box: Box, robot: RobotSnapshot, tasks: int) -> N
     lines.append(("cost", _number(cost), FEASIBLE if cost < Cost().feasible_cost else INK))
     gain, bid = _signed(robot.gain), bid_text(robot)
     lines.append(("predicted gain", gain + (f", bids {bid}" if bid else ""), INK))
+    if robot.news:
+        lines.append(("now", robot.news, INPUT))
     inputs = len(robot.inputs_at)
     lines.append(("inputs", f"{inputs}" + (", stuck" if robot.stuck else ""), INK))
     lines.append(("in this state", f"{robot.waited_s:.1f} s", INK))
@@ -171,10 +183,28 @@ def _draw_facts(canvas: Canvas, box: Box, robot: RobotSnapshot, tasks: int) -> N
     if bottom - y < 5 * size:
         return
     canvas.text((left, y), "cost after each reach iteration", 0.85 * size, MUTED)
+    if robot.bids_at or robot.grants_at or robot.inputs_at:
+        y += 1.2 * size
+        at = left
+        for sign, word, ink in (
+            (BID_SIGN, "bid", BID),
+            (GRANT_SIGN, "grant", GRANT),
+            (INPUT_SIGN, "input", INPUT),
+        ):
+            canvas.text((at, y), f"{sign} {word}", 0.85 * size, ink)
+            at += text_width(f"{sign} {word}   ", 0.85 * size)
     y += size
     # A taller curve would show no more.
     chart = (left, y, right, min(bottom, y + 1.1 * (right - left)))
-    draw_costs(canvas, chart, robot.costs, robot.inputs_at, size=max(0.75 * size, 9.0))
+    draw_costs(
+        canvas,
+        chart,
+        robot.costs,
+        robot.inputs_at,
+        bids_at=robot.bids_at,
+        grants_at=robot.grants_at,
+        size=max(0.75 * size, 9.0),
+    )
 
 
 def _draw_strip(canvas: Canvas, box: Box, robot: RobotSnapshot) -> None:

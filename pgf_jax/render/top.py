@@ -15,6 +15,8 @@ from pgf_jax.simulation.snapshot import RobotSnapshot
 LOW_X, HIGH_X, HALF_WIDTH = -0.08, 0.615, 0.425
 
 PUSH_COLOR = "#c8500a"
+MOVED = 0.002  # m, smallest displacement that is drawn
+_ORIGIN = "#5c6370"
 _FLOOR, _BOARD, _WALL = "#dfe3e8", "#f6ecdc", "#7a5c3a"
 _EDGE = "#4a4f57"
 _ARM, _FINGER, _HAND_EDGE = "#7d8ba3", "#16396f", "#0f2547"
@@ -47,6 +49,7 @@ class TopView:
             self._empty[size] = _empty_shelf(width, height)
         picture = _Picture(Canvas(width, height, self._empty[size]))
         picture.push_target(robot.push)
+        picture.origins(robot)
         picture.objects(robot)
         picture.hand(robot)
         picture.path(robot)
@@ -102,6 +105,14 @@ class _Picture:
             if radius >= _NUMBERS_FROM_PX:
                 bold = i == robot.goal
                 self.canvas.text(at, str(i + 1), 0.85 * radius, ink, anchor="mm", bold=bold)
+
+    def origins(self, robot: RobotSnapshot) -> None:
+        """Draw a faint ring where each object that has moved stood at first, and a line from it."""
+        for origin, centre in zip(robot.origins, robot.objects, strict=False):
+            if math.dist(origin, centre) > MOVED:
+                at = self._at(origin)
+                self.canvas.line([at, self._at(centre)], _ORIGIN, self._line)
+                self.canvas.dashed_circle(at, RADIUS * self._scale, _ORIGIN, 0.8 * self._line)
 
     def hand(self, robot: RobotSnapshot) -> None:
         """Draw the hand's capsules, and a forearm that leaves the picture."""

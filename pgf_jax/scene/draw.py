@@ -39,6 +39,7 @@ def draw_scene(
     corridor: bool = True,
     numbers: bool = True,
     title: str | None = None,
+    legend: bool = False,
 ) -> Axes:
     """Draw a scene into matplotlib axes; horizontal is y, growing to the left, vertical is x.
 
@@ -50,6 +51,7 @@ def draw_scene(
       corridor: draw the straight corridor from the robot's start to the goal.
       numbers: write each object's number (from 1, as in its name object_N).
       title: by default the scene's name.
+      legend: say below the axes what is what.
 
     Returns:
       The axes.
@@ -93,6 +95,8 @@ def draw_scene(
     ax.set_xlabel("y (m)")
     ax.set_ylabel("x (m), into the shelf")
     ax.set_title(scene.name if title is None else title)
+    if legend:
+        _legend(ax, corridor=corridor, paths=bool(paths), moved=ends is not None)
     return ax
 
 
@@ -142,6 +146,33 @@ def save_top_view(
             f"{path}: cannot be written ({error.strerror}); expected a path in an existing folder"
         ) from None
     return path
+
+
+def _legend(ax: Axes, *, corridor: bool, paths: bool, moved: bool) -> None:
+    """Say below the axes what is what; nothing of the drawing is covered."""
+    from matplotlib.lines import Line2D
+
+    def disk(color: str, label: str, edge: str = "black") -> Line2D:
+        style = {"marker": "o", "markersize": 9, "linestyle": "none"}
+        return Line2D([], [], markerfacecolor=color, markeredgecolor=edge, label=label, **style)
+
+    handles = [disk(GOAL_COLOR, "goal"), disk(OBJECT_COLOR, "object")]
+    if corridor:
+        handles.append(disk(CORRIDOR_OBJECT_COLOR, "object in the straight corridor"))
+    if moved:
+        handles.append(
+            Line2D([], [], color="black", linestyle="--", linewidth=1, label="where it ends")
+        )
+    hand = "hand at first, and the paths of its fingertips' middle" if paths else "hand at first"
+    handles.append(Line2D([], [], color=ROBOT_COLOR, label=hand))
+    ax.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.13),
+        ncols=3,
+        fontsize="small",
+        frameon=False,
+    )
 
 
 def _draw_shelf(ax: Axes) -> None:

@@ -2,10 +2,14 @@
 
 import dataclasses
 import operator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pgf_jax.errors import BadInput, short_repr
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # The shelf and its objects, as measured on the published scenes. Metres; x into the shelf, y left.
 FRONT_X = 0.20  # the table's front edge: an object with its centre before it would fall
@@ -58,6 +62,16 @@ class Scene:
     def positions(self) -> np.ndarray:
         """[N, 2] centres in metres."""
         return self.objects[:, :2]
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw the shelf from above.
+
+        Args:
+          ax: matplotlib axes to draw into; None: those of a new figure (`ax.figure`).
+        """
+        from pgf_jax.scene.draw import draw_scene
+
+        return draw_scene(self, ax, legend=True)
 
 
 def validate(scene: Scene) -> None:

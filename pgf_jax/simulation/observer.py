@@ -12,8 +12,9 @@ from pgf_jax.physics import hand
 from pgf_jax.planning.planner import RETREAT_M, Search
 from pgf_jax.planning.types import Push, Status
 from pgf_jax.simulation.planned_robots import PlannedRobots
-from pgf_jax.simulation.snapshot import FleetSnapshot, RobotSnapshot
+from pgf_jax.simulation.snapshot import STUCK, FleetSnapshot, RobotSnapshot, short_number
 
+NEWS_NS = 2_500_000_000  # how long an event stays news
 _SHOWS_ANOTHER_SEARCH = frozenset(
     {
         EventKind.TASK_START,
@@ -40,6 +41,26 @@ class _Seen:
     bid: float | None = None
     retreating_ns: int | None = None  # since when
     done: list[Status] = dataclasses.field(default_factory=list)
+    bids_at: list[int] = dataclasses.field(default_factory=list)
+    grants_at: list[int] = dataclasses.field(default_factory=list)
+    news: str = ""
+    told_ns: int = 0  # when that was news
+
+    def tell(self, event: Event, words: str) -> None:
+        """Say what has happened at an event."""
+        self.news, self.told_ns = words, event.time_ns
+
+
+def bid_words(bid: float) -> str:
+    """A bid in words: a predicted gain in units of cost, or that the robot is stuck."""
+    return f"as it is {STUCK}" if math.isinf(bid) else short_number(bid)
+
+
+def input_words(event: Event) -> str:
+    """The input that ended a service, in words."""
+    if event.object is None or event.x is None or event.y is None:
+        return "go on reaching"
+    return f"push object {event.object + 1} to ({event.x:.2f}, {event.y:.2f}) m"
 
 
 class FleetObserver:
@@ -92,12 +113,20 @@ class FleetObserver:
                     seen.gain = math.nan if event.gain is None else event.gain
             case EventKind.BID:
                 seen.bid = event.gain
+                seen.bids_at.append(len(seen.costs))
+                seen.tell(event, "asks" if event.gain is None else f"bids {bid_words(event.gain)}")
+            case EventKind.GRANT:
+                seen.grants_at.append(len(seen.costs))
+                seen.tell(event, "granted: the operator looks at it")
             case EventKind.REFUSED | EventKind.EXPIRED:
                 seen.bid = None
+                why = {"busy": "the operator is busy", "lost": "another robot bid more"}
+                seen.tell(event, f"not served: {why.get(event.outcome or '', 'out of time')}")
             case EventKind.SERVICE_END:
                 seen.bid, seen.stuck = None, False
                 if event.outcome in ("push", "go_on"):
                     seen.inputs_at.append(len(seen.costs))
+                    seen.tell(event, f"input: {input_words(event)}")
                 if event.object is not None and event.x is not None and event.y is not None:
                     seen.push = Push(event.object, event.x, event.y)
             case EventKind.EXECUTION_END:
@@ -118,6 +147,7 @@ class FleetObserver:
             serving=operators.serving(0),
             window_open=self._window_open,
             attended=operators.is_present(0),
+            ended_ns=self._fleet.now_ns if self._fleet.done else None,
         )
 
     def _robot(self, index: int, seen: _Seen, time_ns: int) -> RobotSnapshot:
@@ -145,6 +175,9 @@ class FleetObserver:
             bid=seen.bid,
             waited_s=max(0, time_ns - run.since_ns) / 1e9,
             done=tuple(seen.done),
+            bids_at=tuple(seen.bids_at),
+            grants_at=tuple(seen.grants_at),
+            news=seen.news if time_ns - seen.told_ns <= NEWS_NS else "",
         )
 
     def _world(

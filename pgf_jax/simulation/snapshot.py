@@ -26,6 +26,14 @@ def short_number(value: float) -> str:
     return f"{value:.{0 if abs(value) >= 10 else 1 if abs(value) >= 1 else 2}f}"
 
 
+def end_effector(poses: np.ndarray) -> np.ndarray:
+    """[T, 2] positions of the end-effector point (m) of hand poses [T, 3] (m, m, rad)."""
+    x, y, yaw = np.asarray(poses, float).reshape(-1, 3).T
+    c, s = np.cos(yaw), np.sin(yaw)
+    ahead, aside = hand.EE_POINT
+    return np.stack([x + c * ahead - s * aside, y + s * ahead + c * aside], -1)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class RobotSnapshot:
     """What a person sees of one robot and its shelf.
@@ -50,6 +58,10 @@ class RobotSnapshot:
       waited_s: simulated time since its state began, s.
       done: statuses of its tasks that have ended.
       ends: [N, 2] where the objects would end up on `path`, m; empty where that is.
+      origins: [N, 2] where the objects stood at first, m; empty where it is not shown.
+      bids_at: for each ask, how many entries `costs` had then.
+      grants_at: for each grant, likewise.
+      news: what has just happened between the robot and the operator, in words; empty if nothing.
     """
 
     robot: int
@@ -70,6 +82,10 @@ class RobotSnapshot:
     waited_s: float
     done: tuple[Status, ...]
     ends: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
+    origins: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
+    bids_at: tuple[int, ...] = ()
+    grants_at: tuple[int, ...] = ()
+    news: str = ""
 
     @property
     def activity(self) -> str:
@@ -102,10 +118,7 @@ class RobotSnapshot:
 
     def end_effector_path(self) -> np.ndarray:
         """[T, 2] positions of the end-effector point on `path`, m."""
-        x, y, yaw = np.asarray(self.path, float).reshape(-1, 3).T
-        c, s = np.cos(yaw), np.sin(yaw)
-        ahead, aside = hand.EE_POINT
-        return np.stack([x + c * ahead - s * aside, y + s * ahead + c * aside], -1)
+        return end_effector(self.path)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -120,6 +133,7 @@ class FleetSnapshot:
       serving: the robot that the (first) operator serves, None: none.
       window_open: bids are being collected.
       attended: an operator is there.
+      ended_ns: simulated time at which the fleet was done, ns; None: it is not.
     """
 
     time_ns: int
@@ -129,6 +143,7 @@ class FleetSnapshot:
     serving: int | None
     window_open: bool
     attended: bool
+    ended_ns: int | None = None
 
     @property
     def progress(self) -> str:

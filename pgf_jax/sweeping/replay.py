@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.simulation.planned_robots import Robot
 from pgf_jax.simulation.recorded_operator import REPLAY, Recording
 from pgf_jax.simulation.runner import FleetRunner
-from pgf_jax.simulation.snapshot import FleetSnapshot
 from pgf_jax.sweeping.config import ADDED, SweepConfig
 from pgf_jax.sweeping.resolve import resolve
 from pgf_jax.tables.event_log import EventLog, first_difference, read_log
@@ -28,33 +27,6 @@ def replay(
     log = read_log(path)
     (cell,) = resolve(replay_config(SweepConfig(operator=REPLAY, log=Path(path)), log)).cells
     return FleetRunner.of(cell.fleet, on_task_end=on_task_end), log
-
-
-def snapshots(
-    path: Path | str, *, every_ns: int, start_ns: int = 0, stop_ns: int | None = None
-) -> Iterator[FleetSnapshot]:
-    """Replay a recorded session, and yield what a person may see of it at regular times.
-
-    Args:
-      path: its log.
-      every_ns: simulated time from one snapshot to the next, ns.
-      start_ns, stop_ns: simulated times of the first, and of the last at most; None: the end.
-
-    Raises:
-      BadInput: as in `replay`; or, at the end, the replay's events differ from the log.
-    """
-    runner, log = replay(path)
-    time_ns = start_ns
-    while stop_ns is None or time_ns <= stop_ns:
-        runner.run_until(time_ns)
-        yield runner.observer.snapshot(time_ns)
-        if runner.fleet.done:
-            break
-        time_ns += every_ns
-    if runner.fleet.done:
-        difference = replay_difference(runner.fleet.events, log)
-        if difference is not None:
-            raise BadInput(difference)
 
 
 _OWN = ("operator", "log", "out", "resume", "workers")  # of a replay itself

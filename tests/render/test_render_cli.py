@@ -13,7 +13,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.plans.file import save_plan
 from pgf_jax.render.command import render
 from pgf_jax.render.config import RenderConfig
-from pgf_jax.sweeping import replay
+from pgf_jax.sweeping import stored_fleet
 
 SESSION_S = 10.0  # robot 1 is served within 4..6 s; tasks 0 and 1 of 5 s each
 SMALL = (320, 240)
@@ -29,7 +29,7 @@ def plan_file(tmp_path) -> Path:
 def session(tmp_path, monkeypatch) -> Path:
     """A made-up session of three robots; its file is empty, because `snapshots` is replaced."""
 
-    def snapshots(path, *, every_ns, start_ns=0, stop_ns=None):
+    def snapshots(path, *, every_ns, start_ns=0, stop_ns=None, choice=None):
         assert path == file
         time_ns = start_ns
         while time_ns <= min(SESSION_S * 1e9, stop_ns or np.inf):
@@ -41,7 +41,7 @@ def session(tmp_path, monkeypatch) -> Path:
     file = tmp_path / "events.jsonl"
     file.write_bytes(b"")
     snapshot_times.clear()
-    monkeypatch.setattr(replay, "snapshots", snapshots)
+    monkeypatch.setattr(stored_fleet, "snapshots", snapshots)
     return file
 
 
@@ -115,7 +115,10 @@ def test_a_task_is_drawn_when_it_is_first_served_or_at_last(session, tmp_path):
 BAD = {
     "suffix": (["plan", "FILE", "--out", "a.gif"], "--out: expected a file .png or .mp4"),
     "no out": (["plan", "FILE"], "options missing: --out"),
-    "what": (["shelf", "FILE", "--out", "a.png"], "expected one of fleet, plan, task, got 'shelf'"),
+    "what": (
+        ["shelf", "FILE", "--out", "a.png"],
+        "expected one of fleet, plan, sweep, task, got 'shelf'",
+    ),
     "missing": (["plan", "none.plan.json", "--out", "a.png"], "no such file, expected a plan"),
     "session": (["fleet", "none", "--out", "a.png"], "no such file, expected a recorded session"),
     "no plan": (["plan", "SESSION", "--out", "a.png"], "not a plan"),

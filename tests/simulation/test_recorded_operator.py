@@ -28,9 +28,9 @@ from pgf_jax.sweeping.replay import (
     replay_config,
     replay_difference,
     settings_of,
-    snapshots,
 )
 from pgf_jax.sweeping.resolve import resolve
+from pgf_jax.sweeping.stored_fleet import snapshots
 from pgf_jax.sweeping.sweep import sweeps
 from pgf_jax.tables import results
 from pgf_jax.tables.event_log import JOURNAL, TABLE, EventLog, Journal, digest, line

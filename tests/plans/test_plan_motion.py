@@ -13,7 +13,7 @@ from pgf_jax.physics import hand
 from pgf_jax.physics.config import PHYSICS, Physics
 from pgf_jax.physics.engine import World, make_engine
 from pgf_jax.planning.types import Status
-from pgf_jax.render.motion import Motion
+from pgf_jax.plans.motion import Motion
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +93,32 @@ def test_substeps_that_do_not_divide_go_whole(monkeypatch):
 
 def test_what_cannot_be_carried_out_is_one_line(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes what it warns of to a file where it runs
-    with pytest.raises(BadInput, match="unknown engine 'bull'"):
+    with pytest.raises(BadInput, match=r"engine: expected one of .*, got 'bull'"):
         Motion(plan(engine="bull"))
     with pytest.raises(BadInput, match="expected physics of default, paper, got 'soft'"):
         Motion(plan(physics="soft"))
     wild = dataclasses.replace(REACH, controls=np.full((8, 3), 1e30))
     with pytest.raises(BadInput, match="plan short: does not stay finite in engine native"):
         Motion(plan(segments=(wild,), pushes=0))
+
+
+def test_a_plan_gives_its_motion_and_draws_it():
+    made = plan()
+    motion = made.motion()
+    count = len(motion.times)
+    assert motion.times[0] == 0 and (np.diff(motion.times) > 0).all()
+    assert motion.objects.shape == (count, len(made.scene.objects), 2)
+    assert motion.hand.shape == (count, 3) and motion.gripper.shape == (count,)
+    axes = made.plot()
+    assert axes.get_title().startswith(made.scene.name)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("y (m)", "x (m), into the shelf")
+    paths = [line.get_xydata() for line in axes.get_lines() if len(line.get_xydata()) > 4]  # pyright: ignore
+    assert len(paths) >= len(made.segments)
+    legend = axes.get_legend()
+    assert legend is not None
+    words = [text.get_text() for text in legend.get_texts()]
+    assert "goal" in words and "where it ends" in words
+    # The legend is below the axes, where no data are.
+    axes.figure.canvas.draw()
+    assert legend.get_window_extent().y1 < axes.get_window_extent().y0
+    assert made.scene.plot(axes) is axes

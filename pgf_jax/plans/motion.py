@@ -13,7 +13,7 @@ from pgf_jax.physics.engine import Engine, World, make_engine
 from pgf_jax.planning.planner import RETREAT_M, RETREAT_S, start_world
 from pgf_jax.planning.types import Push
 from pgf_jax.plans.file import Plan
-from pgf_jax.simulation.snapshot import RobotSnapshot
+from pgf_jax.simulation.snapshot import RobotSnapshot, end_effector
 
 # Most parts that a knot is simulated in. With one part, objects drawn between the ends of a knot
 # would lag behind the hand.
@@ -23,11 +23,14 @@ _PARTS = 6
 class Motion:
     """The execution of a plan over time, from 0; planning takes no time here.
 
+    M is the number of times, N the number of objects.
+
     Attributes:
       plan: the plan.
-      times: [M] s, at which the other arrays are known; between two times they are interpolated.
-      objects: [M, N, 2] centres, m.
-      hand: [M, 3] poses.
+      times: [M] s, from 0, at which the other arrays are known; between two times they are
+        interpolated.
+      objects: [M, N, 2] centres x (into the shelf) and y (to the left), m.
+      hand: [M, 3] poses of the hand's base: x, y (m) and yaw (rad).
       gripper: [M] 0 open .. 255 closed.
 
     Raises:
@@ -114,7 +117,12 @@ class Motion:
             bid=None,
             waited_s=time_s - (0.0 if over else self._starts[segment]),
             done=(plan.status,) if over else (),
+            origins=plan.scene.positions,
         )
+
+    def end_effector_paths(self) -> list[np.ndarray]:
+        """Of each segment, [T + 1, 2] positions of the end-effector point at knot ends, m."""
+        return [end_effector(poses) for poses in self._knots]
 
     def film(
         self, step_s: float, start_s: float = 0.0, stop_s: float | None = None
