@@ -29,8 +29,10 @@ class ConsoleConfig:
 
     Attributes:
       robots: fleet size.
-      policy: when robots ask, and who is served: pgf, or-hitl, or-hitl-window, always, autonomous,
-        random, queue, classifier, oracle-gain (with a simulated operator only), or a registered
+      policy: when robots ask, and who is served: pgf (by predicted gain), or-hitl (when stuck, and
+        refused while the operator is busy), or-hitl-window (when stuck, in windows), always (before
+        planning), autonomous (never), random, queue (when stuck, in line), classifier (by predicted
+        failure), oracle-gain (by the true gain; with a simulated operator only), or a registered
         one.
       tasks: tasks of each robot.
       speed: simulated seconds in a real second.
@@ -38,32 +40,35 @@ class ConsoleConfig:
       host: address to listen on; any other than 127.0.0.1 needs the token that is printed.
       port: port to listen on; 0: any free one.
       seed: seed of scenes, planning noise, service times and ties.
-      operator: who gives input: live (the person at the page), a simulated operator (heuristic,
-        noisy, oracle, clairvoyant, none, or a registered one), or replay (whoever gave it in a
-        recorded session, to watch).
+      operator: who gives input (what to push where): live (the person at the page), a simulated
+        operator (heuristic, noisy, oracle, clairvoyant, none, or a registered one), or replay
+        (whoever gave it in a recorded session, to watch).
       log: the session to replay, with operator replay only: its folder, or its event log; None:
         nothing is replayed.
       service_mean: mean of a simulated operator's log-normal service time, s.
-      service_sd: standard deviation of the service time, s; 0 makes it constant.
-      window: T_window of Alg. 2, for which bids are collected, s.
-      rollout_time: simulated time of one rollout, s; an iteration takes two.
+      service_sd: standard deviation of a simulated operator's service time, s; 0 makes it constant.
+      window: time for which bids are collected before the highest is served, s (T_window of Alg.
+        2).
+      rollout_time: simulated time that it takes to compute one rollout, s; an iteration takes two.
       compute: dedicated (each robot has its own computer), or shared:C (all robots share a computer
         with C cores).
       horizon: simulated time at which a fleet stops, s; None: when its tasks are done.
-      predictor: what predicts the gain of input: paper or best, as shipped; a folder of
-        checkpoints, for the paper's pair of networks in it; or best:FOLDER.
+      predictor: what predicts the gain of input (the cost that it saves): paper or best, as
+        shipped; a folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
       scene_class: class of the sampled scenes: tight, medium, wide, or all (the three in turn);
         None: tight.
       scenes: folder of scene files (*.xml) from which the tasks are drawn; None: scenes are
         sampled.
-      engine: physics engine: planar, mjx, native, or a registered one.
-      physics: physics constants: default, or paper (its substep, and the authors' softness).
+      engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
+        in C), or a registered one.
+      physics: physics constants: default, or paper (its time step, and the softness of the authors'
+        contacts).
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
       update: how an iteration changes the best trajectory: greedy takes the cheapest rollout, as
         the paper does; stomp blends the noise of all rollouts by weight.
       random_winner: probability that an iteration takes any of its noisy rollouts instead of the
         cheapest one: an ablation of a fault in the published source. 0 is the paper's.
-      lanes: L, robots computed in one call of the engine; results are bit-equal for equal L only.
+      lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       out: folder of the session: its event log, written as it happens, and its tables at the end.
       resume: go on with what is in the folder: the session whose server was killed.

@@ -21,19 +21,23 @@ class PlanConfig:
     """How scenes are planned; BadInput where a value is wrong.
 
     Attributes:
-      engine: physics engine: planar, mjx, native, or a registered one.
-      physics: physics constants: default, or paper (its substep, and the authors' softness).
+      engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
+        in C), or a registered one.
+      physics: physics constants: default, or paper (its time step, and the softness of the authors'
+        contacts).
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
       update: how an iteration changes the best trajectory: greedy takes the cheapest rollout, as
         the paper does; stomp blends the noise of all rollouts by weight.
-      operator: who gives input: heuristic, noisy, oracle, clairvoyant, none, or a registered one.
+      operator: who gives input (what to push where): heuristic (geometry), noisy (heuristic with
+        errors), oracle (tries pushes in simulation), clairvoyant (the same with the robot's own
+        noise), none, or a registered one.
       ask: when the robot asks for input: stuck, gain (the predicted gain is high enough), after:N
         (after N reach iterations since each restart or input), or never.
-      lanes: L, robots computed in one call of the engine; results are bit-equal for equal L only.
-      predictor: what predicts the gain of input: paper or best, as shipped; a folder of
-        checkpoints, for the paper's pair of networks in it; or best:FOLDER.
+      lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
+      predictor: what predicts the gain of input (the cost that it saves): paper or best, as
+        shipped; a folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
       service_mean: mean of a simulated operator's log-normal service time, s.
-      service_sd: standard deviation of the service time, s; 0 makes it constant.
+      service_sd: standard deviation of a simulated operator's service time, s; 0 makes it constant.
       task_limit: simulated time for planning, waiting and interaction in a task, s.
     """
 
