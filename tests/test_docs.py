@@ -104,6 +104,14 @@ def test_the_first_readme_is_short():
     assert len(text("README.md").splitlines()) <= 150
 
 
+def test_the_glossary_has_every_policy():
+    from pgf_jax.sweeping.config import GAINLESS
+
+    glossary = text("experiments/README.md").partition("## Glossary\n")[2]
+    explained = re.findall(r"^\| `([a-z-]+)` \| \w", glossary, re.M)
+    assert sorted(explained) == sorted({"pgf", *GAINLESS})
+
+
 @pytest.mark.parametrize("name", READMES)
 def test_links_lead_somewhere(name):
     for target in re.findall(r"\]\(([^)\s]+)\)", text(name)):

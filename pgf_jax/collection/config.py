@@ -42,8 +42,10 @@ class CollectConfig:
         event logs. They have their own settings, so that no others can be given.
       classes: classes of the sampled scenes, in turn: tight, medium, wide.
       seed: seed of the first scene and its noise; the next scenes count on from there.
-      engine: physics engine: planar, mjx, native, or a registered one.
-      physics: physics constants: default, or paper (its substep, and the authors' softness).
+      engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
+        in C), or a registered one.
+      physics: physics constants: default, or paper (its time step, and the softness of the authors'
+        contacts).
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
       cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
         in w_d=2000 feasible_cost=10; the names are the fields of Cost.
@@ -57,9 +59,10 @@ class CollectConfig:
       stuck_count: iterations with hardly any change after which a robot is stuck.
       stuck_change: a change of the cost below this is hardly any.
       stuck_excess: a winner whose cost is above the best one by more than this counts as no change.
-      operator: who gives input in human runs and forks: heuristic, noisy, oracle, clairvoyant, or a
-        registered one.
-      lanes: L, robots computed in one call of the engine; results are bit-equal for equal L only.
+      operator: who gives input (what to push where) in human runs and forks: heuristic (geometry),
+        noisy (heuristic with errors), oracle (tries pushes in simulation), clairvoyant (the same
+        with the robot's own noise), or a registered one.
+      lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       task_limit: simulated time for planning, waiting and interaction in a task, s. The default
         ends an unsolved run after reach iteration 39; in human runs at least 10 reach iterations
@@ -68,7 +71,8 @@ class CollectConfig:
         which the third is the first with a full history; forks: a state is drawn from the unsolved
         ones among these.
       ask_to: the last of these reach iterations.
-      keys: forks: futures of a state under other noise, each with input and without.
+      keys: forks: number of futures of each state, each under noise of its own, with input and
+        without.
       workers: processes that share the work, each on cores of its own; results do not depend on how
         many. None: one a core for planar, else 1.
       chunk: finished runs are written this many at a time: as many can be lost by an interruption.

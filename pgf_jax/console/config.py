@@ -39,8 +39,10 @@ class ConsoleConfig:
 
     Attributes:
       robots: fleet size.
-      policy: when robots ask, and who is served: pgf, or-hitl, or-hitl-window, always, autonomous,
-        random, queue, classifier, oracle-gain (with a simulated operator only), or a registered
+      policy: when robots ask, and who is served: pgf (by predicted gain), or-hitl (when stuck, and
+        refused while the operator is busy), or-hitl-window (when stuck, in windows), always (before
+        planning), autonomous (never), random, queue (when stuck, in line), classifier (by predicted
+        failure), oracle-gain (by the true gain; with a simulated operator only), or a registered
         one.
       tasks: tasks of each robot.
       speed: simulated seconds in a real second.
@@ -48,32 +50,35 @@ class ConsoleConfig:
       host: address to listen on; any other than 127.0.0.1 needs the token that is printed.
       port: port to listen on; 0: any free one.
       seed: seed of scenes, planning noise, service times and ties.
-      operator: who gives input: live (the person at the page), a simulated operator (heuristic,
-        noisy, oracle, clairvoyant, none, or a registered one), or replay (whoever gave it in a
-        recorded session, to watch).
+      operator: who gives input (what to push where): live (the person at the page), a simulated
+        operator (heuristic, noisy, oracle, clairvoyant, none, or a registered one), or replay
+        (whoever gave it in a recorded session, to watch).
       log: the session to replay, with operator replay only: its folder, or its event log; None:
         nothing is replayed.
       service_mean: mean of a simulated operator's log-normal service time, s.
-      service_sd: standard deviation of the service time, s; 0 makes it constant.
-      window: T_window of Alg. 2, for which bids are collected, s.
+      service_sd: standard deviation of a simulated operator's service time, s; 0 makes it constant.
+      window: time for which bids are collected before the highest is served, s (T_window of Alg.
+        2).
       bid_threshold: a predicted gain must exceed it to be bid; in units of cost.
       task_limit: simulated time for planning, waiting and interaction in a task, s.
       push_limit: simulated time for planning a push, s, and no more than is left of the task.
       push_execution: simulated time of the execution of a push, s.
       retreat: simulated time of the hand's retreat after a push, s.
       reach_execution: simulated time of the execution of the reach, s.
-      rollout_time: simulated time of one rollout, s; an iteration takes two.
+      rollout_time: simulated time that it takes to compute one rollout, s; an iteration takes two.
       compute: dedicated (each robot has its own computer), or shared:C (all robots share a computer
         with C cores).
       horizon: simulated time at which a fleet stops, s; None: when its tasks are done.
-      predictor: what predicts the gain of input: paper or best, as shipped; a folder of
-        checkpoints, for the paper's pair of networks in it; or best:FOLDER.
+      predictor: what predicts the gain of input (the cost that it saves): paper or best, as
+        shipped; a folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
       scene_class: class of the sampled scenes: tight, medium, wide, or all (the three in turn);
         None: tight.
       scenes: scenes from which the tasks are drawn: a folder of scene files (*.xml), or a file of
         scenes (*.json). None: scenes are sampled.
-      engine: physics engine: planar, mjx, native, or a registered one.
-      physics: physics constants: default, or paper (its substep, and the authors' softness).
+      engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
+        in C), or a registered one.
+      physics: physics constants: default, or paper (its time step, and the softness of the authors'
+        contacts).
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
       cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
         in w_d=2000 feasible_cost=10; the names are the fields of Cost.
@@ -87,7 +92,7 @@ class ConsoleConfig:
       stuck_count: iterations with hardly any change after which a robot is stuck.
       stuck_change: a change of the cost below this is hardly any.
       stuck_excess: a winner whose cost is above the best one by more than this counts as no change.
-      lanes: L, robots computed in one call of the engine; results are bit-equal for equal L only.
+      lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       out: folder of the session: its event log, written as it happens, and its tables at the end.
       resume: go on with what is in the folder: the session whose server was killed.

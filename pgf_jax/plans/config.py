@@ -33,8 +33,10 @@ class PlanConfig:
     """How scenes are planned; BadInput where a value is wrong.
 
     Attributes:
-      engine: physics engine: planar, mjx, native, or a registered one.
-      physics: physics constants: default, or paper (its substep, and the authors' softness).
+      engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
+        in C), or a registered one.
+      physics: physics constants: default, or paper (its time step, and the softness of the authors'
+        contacts).
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
       cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
         in w_d=2000 feasible_cost=10; the names are the fields of Cost.
@@ -48,22 +50,25 @@ class PlanConfig:
       stuck_count: iterations with hardly any change after which a robot is stuck.
       stuck_change: a change of the cost below this is hardly any.
       stuck_excess: a winner whose cost is above the best one by more than this counts as no change.
-      operator: who gives input: heuristic, noisy, oracle, clairvoyant, none, or a registered one.
+      operator: who gives input (what to push where): heuristic (geometry), noisy (heuristic with
+        errors), oracle (tries pushes in simulation), clairvoyant (the same with the robot's own
+        noise), none, or a registered one.
       ask: when the robot asks for input: stuck, gain (the predicted gain is high enough), after:N
         (after N reach iterations since each restart or input), or never.
-      lanes: L, robots computed in one call of the engine; results are bit-equal for equal L only.
-      predictor: what predicts the gain of input: paper or best, as shipped; a folder of
-        checkpoints, for the paper's pair of networks in it; or best:FOLDER.
+      lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
+      predictor: what predicts the gain of input (the cost that it saves): paper or best, as
+        shipped; a folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
       service_mean: mean of a simulated operator's log-normal service time, s.
-      service_sd: standard deviation of the service time, s; 0 makes it constant.
-      window: T_window of Alg. 2, for which bids are collected, s.
+      service_sd: standard deviation of a simulated operator's service time, s; 0 makes it constant.
+      window: time for which bids are collected before the highest is served, s (T_window of Alg.
+        2).
       bid_threshold: a predicted gain must exceed it to be bid; in units of cost.
       task_limit: simulated time for planning, waiting and interaction in a task, s.
       push_limit: simulated time for planning a push, s, and no more than is left of the task.
       push_execution: simulated time of the execution of a push, s.
       retreat: simulated time of the hand's retreat after a push, s.
       reach_execution: simulated time of the execution of the reach, s.
-      rollout_time: simulated time of one rollout, s; an iteration takes two.
+      rollout_time: simulated time that it takes to compute one rollout, s; an iteration takes two.
     """
 
     engine: str = "planar"

@@ -13,14 +13,16 @@ class ProfileConfig:
     """Measure the engines' speed on the same rollouts, in one run, taking turns.
 
     Attributes:
-      engines: physics engines to measure: planar, mjx, native, or registered ones.
+      engines: physics engines to measure: planar (fast, disks on a plane), mjx (MuJoCo in JAX),
+        native (MuJoCo in C), or registered ones.
       lanes: values of L, robots computed in one call of the engine, to try; the fastest one stands
         for its engine.
       cores: cores that everything is measured on; None: all. A call of planar uses one whatever
         there is, so that "one core each" is `--cores 1`.
       repeats: timed calls of each engine and L; the median counts.
       memory_lanes: the L of the call whose memory is reported.
-      physics: physics constants: default, or paper (its substep, and the authors' softness).
+      physics: physics constants: default, or paper (its time step, and the softness of the authors'
+        contacts).
       seed: seed of scenes and noise.
       json: print one JSON object instead of tables.
     """

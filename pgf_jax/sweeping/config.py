@@ -99,15 +99,19 @@ class SweepConfig:
         tasks of one robot and 50 of each of 10, 20 and 30; None: 10 tasks of each of 1, 10, 20 and
         30 robots.
       robots: fleet sizes; None: those of the preset.
-      policies: when robots ask, and who is served: pgf, or-hitl, or-hitl-window, always,
-        autonomous, random, queue, classifier, oracle-gain (slow: it plans every robot's future
+      policies: when robots ask, and who is served: pgf (by predicted gain), or-hitl (when stuck,
+        and refused while the operator is busy), or-hitl-window (when stuck, in windows), always
+        (before planning), autonomous (never), random, queue (when stuck, in line), classifier (by
+        predicted failure), oracle-gain (by the true gain; slow: it plans every robot's future
         twice), or a registered one; None: pgf and or-hitl.
       tasks: tasks of each robot; None: those of the preset.
       seed: seed of scenes, planning noise, service times and ties.
       seeds: several seeds, in place of seed: a fleet of each for every policy and fleet size, so
         that the table and the figure can have intervals over fleets; None: seed alone.
-      engine: physics engine: planar, mjx, native, or a registered one.
-      physics: physics constants: default, or paper (its substep, and the authors' softness).
+      engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
+        in C), or a registered one.
+      physics: physics constants: default, or paper (its time step, and the softness of the authors'
+        contacts).
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
       cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
         in w_d=2000 feasible_cost=10; the names are the fields of Cost.
@@ -125,30 +129,33 @@ class SweepConfig:
         None: tight, or that of the preset.
       scenes: scenes from which the tasks are drawn: a folder of scene files (*.xml), or a file of
         scenes (*.json). None: scenes are sampled.
-      operator: who gives input: heuristic, noisy, oracle, clairvoyant, none, or a registered one;
-        replay: whoever gave it in a recorded session, whose settings are taken over.
+      operator: who gives input (what to push where): heuristic (geometry), noisy (heuristic with
+        errors), oracle (tries pushes in simulation), clairvoyant (the same with the robot's own
+        noise), none, or a registered one; replay: whoever gave it in a recorded session, whose
+        settings are taken over.
       log: the session to replay, with operator replay only: its folder, or its event log; None:
         nothing is replayed.
       operators: number of operators who help the fleet.
       service_mean: mean of a simulated operator's log-normal service time, s.
-      service_sd: standard deviation of the service time, s; 0 makes it constant.
+      service_sd: standard deviation of a simulated operator's service time, s; 0 makes it constant.
       context_switch: time added to a service when the operator served another robot before, s.
-      window: T_window of Alg. 2, for which bids are collected, s.
+      window: time for which bids are collected before the highest is served, s (T_window of Alg.
+        2).
       bid_threshold: a predicted gain must exceed it to be bid; in units of cost.
       task_limit: simulated time for planning, waiting and interaction in a task, s.
       push_limit: simulated time for planning a push, s, and no more than is left of the task.
       push_execution: simulated time of the execution of a push, s.
       retreat: simulated time of the hand's retreat after a push, s.
       reach_execution: simulated time of the execution of the reach, s.
-      rollout_time: simulated time of one rollout, s; an iteration takes two.
+      rollout_time: simulated time that it takes to compute one rollout, s; an iteration takes two.
       compute: dedicated (each robot has its own computer), or shared:C (all robots share a computer
         with C cores).
-      predictor: what predicts the gain of input: paper or best, as shipped; a folder of
-        checkpoints, for the paper's pair of networks in it; or best:FOLDER.
+      predictor: what predicts the gain of input (the cost that it saves): paper or best, as
+        shipped; a folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
       horizon: simulated time at which a fleet stops, s; None: when its tasks are done.
       workers: processes that share the work, each on cores of its own; results do not depend on how
         many. None: one a core for planar, else 1.
-      lanes: L, robots computed in one call of the engine; results are bit-equal for equal L only.
+      lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       out: folder of the results.
       resume: go on with what is in the folder: finished cells are kept, the others are computed.
