@@ -2,7 +2,8 @@
 
 Starts `pgf-jax console` in real time, opens it in headless Chromium (rendered in software: the
 worst case), waits until a robot is served, and then measures in the page: the times between frames,
-and the time from each click or key to the feedback that acknowledges it.
+and the time from each click or key to the feedback that acknowledges it. The picture shows a push
+that is picked, at full resolution, which viser lowers where rendering is slow.
 
     python experiments/console_latency.py --robots 20
 """
@@ -21,8 +22,8 @@ import tyro
 from console_browser import CHROMIUM_FLAGS, HEIGHT, WIDTH, journal_events, pixel_of
 from playwright.sync_api import Page, sync_playwright
 
-from pgf_jax.console.layout import Layout
-from pgf_jax.scene import sample_scene
+from pgf_jax.console.layout import Cell, Layout
+from pgf_jax.scene import Scene, sample_scene
 
 # Stores the time of each frame, of each click and key, and of each change of the feedback.
 MEASURE = """() => {
@@ -75,6 +76,9 @@ def main(options: Options) -> None:
                 page = chromium.new_page(viewport={"width": WIDTH, "height": HEIGHT})
                 page.goto(url)
                 found = measure(page, Path(folder) / "session", options)
+                if options.out is not None:
+                    page.goto(f"{url}?fixedDpr=1")
+                    picture(page, Path(folder) / "session", options)
                 chromium.close()
         finally:
             server.terminate()
@@ -84,12 +88,7 @@ def main(options: Options) -> None:
 
 def measure(page: Page, session: Path, options: Options) -> dict[str, Any]:
     """Time the frames and the acknowledgements of a page, ms."""
-    page.wait_for_function("document.body.innerText.includes('asks (')", timeout=120_000)
-    page.locator(".mantine-Notification-closeButton").first.click()
-    served = next(e["robot"] for e in journal_events(session) if e["kind"] == "grant")
-    scene = sample_scene(np.array([0, served, 0], np.uint32), "tight")
-    cell = Layout.of(options.robots, served).large
-    assert cell is not None
+    scene, cell = served_shelf(page, session, options)
     before = sum(event["kind"] == "iteration" for event in journal_events(session))
     page.evaluate(MEASURE)
     for number in range(options.acts // 2):
@@ -98,8 +97,6 @@ def measure(page: Page, session: Path, options: Options) -> dict[str, Any]:
         page.wait_for_timeout(1e3 * options.seconds / options.acts)
         page.keyboard.press("Escape")
         page.wait_for_timeout(1e3 * options.seconds / options.acts)
-    if options.out is not None:
-        page.screenshot(path=options.out)
     seen = page.evaluate("window.seen")
     iterations = sum(event["kind"] == "iteration" for event in journal_events(session)) - before
     acknowledged = [
@@ -112,6 +109,29 @@ def measure(page: Page, session: Path, options: Options) -> dict[str, Any]:
         "frames": figures(np.diff(seen["frames"])),
         "acknowledged": figures(np.array(acknowledged)),
     }
+
+
+def picture(page: Page, session: Path, options: Options) -> None:
+    """Draw the page, with a push of the object at the front towards the hand."""
+    scene, cell = served_shelf(page, session, options)
+    front = scene.positions[np.argmin(scene.positions[:, 0])]
+    for place in (front, front - (0.06, 0.0)):
+        pixel = pixel_of(page, *cell.place(place))
+        page.mouse.move(*pixel)
+        page.wait_for_timeout(200)  # viser takes a jump of the mouse for a drag
+        page.mouse.click(*pixel)
+        page.wait_for_timeout(1000)
+    page.screenshot(path=options.out)
+
+
+def served_shelf(page: Page, session: Path, options: Options) -> tuple[Scene, Cell]:
+    """Wait until a robot is served; returns its scene, and where its shelf is drawn."""
+    page.wait_for_function(r"/Robot \d+ asks/.test(document.body.innerText)", timeout=120_000)
+    page.locator(".mantine-Notification-closeButton").first.click()
+    served = next(e["robot"] for e in journal_events(session) if e["kind"] == "grant")
+    cell = Layout.of(options.robots, served).large
+    assert cell is not None
+    return sample_scene(np.array([0, served, 0], np.uint32), "tight"), cell
 
 
 def figures(milliseconds: np.ndarray) -> dict[str, float]:

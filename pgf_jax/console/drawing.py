@@ -16,7 +16,7 @@ _SMALL, _LARGE = 8, 24  # sides of a disk: there are many small ones
 _SQUARE = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
 _HALVES = np.array([[0, 1, 2], [0, 2, 3]])
 _PAD = 32  # lines are sent in multiples of it, so that their buffers are seldom made again
-CAPTION_HEIGHT, SMALLEST = 0.062, 0.125  # of text: m on the scale of a shelf; at least, units
+CAPTION_HEIGHT, SMALLEST = 0.068, 0.14  # of text: m on the scale of a shelf; at least, units
 _AWAY = -100.0  # coordinate, in all three directions, of what is out of sight
 _PICKED, _REFUSED = (31, 119, 220), (214, 39, 40)
 
@@ -48,17 +48,19 @@ class Drawing:
                 ("walls", (122, 92, 58), 4),
                 ("frames", (190, 190, 190), 1),
                 ("curves", (40, 60, 110), 2),
-                ("inputs", (240, 150, 60), 2),
-                ("paths", (31, 78, 156), 2),
-                ("drags", (190, 110, 60), 2),
-                ("pushes", (240, 120, 30), 3),
+                ("inputs", fleet_view.INPUT, 2),
+                ("paths", fleet_view.PATH, 2),
+                ("drags", fleet_view.DRAG, 2),
+                ("pushes", fleet_view.PUSHED, 3),
                 ("arrow", _PICKED, 3),
-                ("numbers", (20, 20, 20), 1),
+                ("numbers", (0, 0, 0), 2.7),
             )
         }
         self._picked = self._mesh("picked", *_disk(_LARGE), 1, opacity=0.55)
         self._captions = [self._label(f"caption/{i}", "top-left") for i in range(robots)]
-        self._title = self._label("title", "top-left")
+        self._title = self._label("title", "bottom-left")
+        self._axis = self._label("axis", "center-right")
+        self._iterations = self._label("iterations", "top-right")
         self._costs = [
             self._label(f"cost/{i}", "center-right") for i in range(len(fleet_view.COSTS))
         ]
@@ -106,7 +108,9 @@ class Drawing:
             if index < len(layout.cells) and index < len(frame.fleet.robots):
                 cell = layout.cells[index]
                 place = (cell.x + 0.03 * cell.scale, cell.y + fleet_view.CAPTION_V * cell.scale)
-                text = fleet_view.caption(frame.fleet.robots[index])
+                roomy = cell.scale >= fleet_view.ROOMY
+                robot, tasks = frame.fleet.robots[index], frame.fleet.tasks
+                text = fleet_view.caption(robot, tasks, roomy=roomy)
                 self._write(handle, text, place, max(CAPTION_HEIGHT * cell.scale, SMALLEST))
             else:
                 self._write(handle, "", (0.0, 0.0), SMALLEST)
@@ -114,18 +118,18 @@ class Drawing:
     def _show_large(self, frame: Frame, layout: Layout) -> None:
         cell, served = layout.large, layout.served
         if cell is None or served is None or served >= len(frame.fleet.robots):
-            for handle in (*self._costs, self._title):
+            for handle in (*self._costs, self._axis, self._title, self._iterations):
                 self._write(handle, "", (0.0, 0.0), SMALLEST)
             return
         robot = frame.fleet.robots[served]
         low, high = fleet_view.curve_box(cell)
+        self._write(self._axis, "cost", (low[0] - 0.06, high[1]), 0.18)
         for handle, cost in zip(self._costs, fleet_view.COSTS, strict=True):
             place = (low[0] - 0.06, fleet_view.cost_height(cell, cost))
-            self._write(handle, f"{cost:.0f}", place, 0.16)
-        iterations = max(0, len(robot.costs) - 1)
-        caption = fleet_view.caption(robot).replace("\n", "   ")
-        text = f"Robot {caption}\n{robot.scene}, {iterations} iterations, cost:"
-        self._write(self._title, text, (low[0] - 0.35, high[1] + 0.75), 0.2)
+            self._write(handle, f"{cost:.0f}", place, 0.18)
+        text = fleet_view.title(robot, frame.fleet.tasks)
+        self._write(self._title, text, (low[0] - 0.4, high[1] + 0.25), 0.2)
+        self._write(self._iterations, fleet_view.iterations(robot), (high[0], low[1] - 0.05), 0.18)
 
     # -- handles, sent again when they change ---------------------------------------------------
 
@@ -152,7 +156,7 @@ class Drawing:
             receive_shadow=False,
         )
 
-    def _segments(self, name: str, color: tuple[int, int, int], width: int) -> Any:
+    def _segments(self, name: str, color: tuple[int, int, int], width: float) -> Any:
         points = np.full((_PAD, 2, 3), _AWAY, np.float32)
         return self._scene.add_line_segments(
             f"/{name}", points, color, thickness=width, thickness_units="screen"

@@ -19,25 +19,28 @@ from pgf_jax.console.layout import (
 from pgf_jax.fleet.records import State
 from pgf_jax.physics import hand
 from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
-from pgf_jax.simulation.snapshot import FleetSnapshot, RobotSnapshot
+from pgf_jax.simulation.snapshot import FleetSnapshot, RobotSnapshot, short_number
 
-CAPTION_V = 1.09  # top of the caption in a cell, m on the scale of its shelf
+CAPTION_V = 1.14  # top of the caption in a cell, m on the scale of its shelf
 DETAILED = 3.0  # smallest scale, units per metre, at which rims and fingers can be seen
+ROOMY = 2.0  # smallest scale at which a caption has room for the robot's tasks
 _OUTLINE = np.array([0, 1, 2, 5, 7, 11, 13])  # base, wrist, palm, couplers, backs of the fingers
-MOVED = 0.002  # m, smallest displacement of an object that is drawn
+_CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 17)) for f in (np.cos, np.sin)], -1)
+MOVED = 0.01  # m, smallest displacement of an object that is drawn
 COSTS = (1.0, 10.0, 100.0, 1000.0)  # marked in a large curve
 _COST_SPAN = math.log10(1 + 4000.0)  # of the curve's axis, log10(1 + cost)
 
-BORDERS = {
-    State.IDLE: (170, 170, 170),
-    State.PLANNING: (150, 170, 205),
-    State.IN_WINDOW: (245, 180, 0),
-    State.IN_LINE: (245, 180, 0),
-    State.SERVED: (230, 90, 20),
-    State.EXECUTING: (40, 160, 80),
+# Colour of a cell's border, and what the robot does, by its state.
+STATES = {
+    State.PLANNING: ((110, 150, 220), "planning"),
+    State.IN_WINDOW: ((245, 180, 0), "waiting for help"),
+    State.IN_LINE: ((245, 180, 0), "waiting for help"),
+    State.SERVED: ((230, 90, 20), "being helped"),
+    State.EXECUTING: ((40, 160, 80), "moving"),
+    State.IDLE: ((190, 190, 190), "done"),
 }
-GOAL, OBJECT, PUSHED, CHOSEN = (46, 158, 79), (190, 190, 190), (240, 150, 60), (31, 119, 220)
-RIM, HAND = (60, 60, 60), (31, 78, 156)
+GOAL, OBJECT, PUSHED, CHOSEN = (46, 158, 79), (200, 200, 200), (240, 150, 60), (110, 175, 250)
+RIM, HAND, PATH, DRAG, INPUT = (60, 60, 60), (31, 78, 156), (31, 78, 156), (180, 95, 40), PUSHED
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -75,7 +78,7 @@ def borders(pairs: list[tuple[Cell, RobotSnapshot]]) -> tuple[np.ndarray, np.nda
         (x0, y0), (x1, y1) = np.array([[0.01, low + 0.01], [CELL_WIDTH - 0.01, high - 0.01]])
         corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
         lines.append(_chain(cell.scale * corners + (cell.x, cell.y), 0.01))
-        colors.append(np.tile(np.array(BORDERS[robot.state], float), (4, 2, 1)))
+        colors.append(np.tile(np.array(STATES[robot.state][0], float), (4, 2, 1)))
     return np.concatenate(lines), np.concatenate(colors)
 
 
@@ -159,13 +162,15 @@ def paths(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
 
 
 def drags(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
-    """Displacements of objects by the best trajectory so far, on a large shelf, [M, 2, 3]."""
+    """Where the best trajectory so far takes the objects of a large shelf, as rings, [M, 2, 3]."""
     parts = [np.empty((0, 2, 3))]
     for cell, robot in pairs:
         if cell.large and len(robot.ends):
             moved = np.hypot(*(robot.ends - robot.objects).T) > MOVED
             ends = cell.place(np.stack([robot.objects[moved], robot.ends[moved]], 1))  # [M, 2, 2]
-            parts.append(np.concatenate([ends, np.full((len(ends), 2, 1), 0.035)], -1))
+            parts.append(np.concatenate([ends, np.full((len(ends), 2, 1), 0.02)], -1))
+            for end in ends[:, 1]:
+                parts.append(_chain(end + cell.scale * RADIUS * _CIRCLE, 0.035))
     return np.concatenate(parts)
 
 
@@ -220,20 +225,21 @@ def cost_height(cell: Cell, cost: float) -> float:
     return float(low[1] + (high[1] - low[1]) * math.log10(1 + cost) / _COST_SPAN)
 
 
-# Strokes on a grid of 2 x 4, (column, row from below). A label of viser would cover its object.
-_DIGITS = (
-    ((0, 0), (2, 0), (2, 4), (0, 4), (0, 0)),
-    ((0, 3), (1, 4), (1, 0)),
-    ((0, 4), (2, 4), (2, 2), (0, 2), (0, 0), (2, 0)),
-    ((0, 4), (2, 4), (2, 2), (1, 2), (2, 2), (2, 0), (0, 0)),
-    ((1.5, 0), (1.5, 4), (0, 1), (2, 1)),
-    ((2, 4), (0, 4), (0, 2), (2, 2), (2, 0), (0, 0)),
-    ((2, 4), (0, 4), (0, 0), (2, 0), (2, 2), (0, 2)),
-    ((0, 4), (2, 4), (0.5, 0)),
-    ((0, 2), (0, 0), (2, 0), (2, 4), (0, 4), (0, 2), (2, 2)),
-    ((2, 2), (0, 2), (0, 4), (2, 4), (2, 0), (0, 0)),
+# Strokes on a grid of 20 x 40: column,row from below. A label of viser would cover its object.
+_STROKES = (
+    "6,40 14,40 20,33 20,7 14,0 6,0 0,7 0,33 6,40",
+    "3,32 12,40 12,0",
+    "0,34 5,40 15,40 20,34 20,27 0,0 20,0",
+    "0,36 5,40 15,40 20,35 20,27 15,21 8,21 15,21 20,15 20,6 15,0 5,0 0,4",
+    "15,0 15,40 0,12 21,12",
+    "19,40 2,40 1,21 6,25 14,25 20,19 20,6 14,0 5,0 0,4",
+    "18,38 14,40 7,40 0,32 0,6 6,0 14,0 20,6 20,18 14,24 6,24 0,18",
+    "0,40 20,40 8,0",
+    "6,22 1,27 1,35 6,40 14,40 19,35 19,27 14,22 6,22 0,16 0,6 6,0 14,0 20,6 20,16 14,22",
+    "2,2 6,0 13,0 20,8 20,34 14,40 6,40 0,34 0,22 6,16 14,16 20,22",
 )
-_DIGIT_M = 0.0045  # step of the grid on the shelf, m
+_DIGITS = [np.array([point.split(",") for point in points.split()], float) for points in _STROKES]
+_DIGIT_M = 0.0006  # step of the grid on the shelf, m
 
 
 def numbers(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
@@ -245,28 +251,58 @@ def numbers(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
         step = cell.scale * _DIGIT_M
         for number, center in enumerate(cell.place(robot.objects), 1):
             digits = [int(digit) for digit in str(number)]
-            left = center[0] - step * (1.5 * len(digits) - 0.5)
+            left = center[0] - step * (15 * len(digits) - 5)
             for place, digit in enumerate(digits):
-                corner = np.array([left + 3 * step * place, center[1] - 2 * step])
-                parts.append(_chain(corner + step * np.array(_DIGITS[digit]), 0.05))
+                corner = np.array([left + 30 * step * place, center[1] - 20 * step])
+                parts.append(_chain(corner + step * _DIGITS[digit], 0.06))
     return np.concatenate(parts)
 
 
-def caption(robot: RobotSnapshot) -> str:
-    """Two lines on a robot: what it does; its bid or predicted gain, and how its tasks ended."""
-    text = f"{robot.robot} {robot.activity}"
-    if robot.stuck and robot.state is State.PLANNING:
-        text += ", stuck"
+def caption(robot: RobotSnapshot, tasks: int, *, roomy: bool) -> str:
+    """Lines on a robot in a cell: its number, what it does, and its tasks if that is `roomy`."""
+    if roomy:
+        return f"Robot {robot.robot}: {_activity(robot)}\n{_progress(robot, tasks)}"
+    return f"Robot {robot.robot}\n{'waiting' if robot.is_waiting else _activity(robot)}"
+
+
+def title(robot: RobotSnapshot, tasks: int) -> str:
+    """Lines on the robot of the large shelf, the last one on the curve below them."""
+    lines = [f"Robot {robot.robot}: {_activity(robot)}", _progress(robot, tasks), _reason(robot)]
+    cost = robot.costs[-1] if robot.costs else math.inf
+    now = f": {short_number(cost)}" if math.isfinite(cost) else ""
+    return "\n".join([*filter(None, lines), f"Cost of its best trajectory{now}"])
+
+
+def iterations(robot: RobotSnapshot) -> str:
+    """How many reach iterations of the task have ended, under the curve."""
+    number = max(0, len(robot.costs) - 1)
+    return f"after {number} iteration{'' if number == 1 else 's'}"
+
+
+def _activity(robot: RobotSnapshot) -> str:
+    """The robot's state in a few words."""
+    if robot.push is not None and robot.state in (State.PLANNING, State.EXECUTING):
+        return "pushing" if robot.state is State.EXECUTING else "plans a push"
+    return STATES[robot.state][1]
+
+
+def _progress(robot: RobotSnapshot, tasks: int) -> str:
+    """How many tasks the robot has done, and how many of them failed."""
     failed = len(robot.done) - robot.solved
-    ended = f"{robot.solved} solved" + (f", {failed} failed" if failed else "")
-    return f"{text}\n{_worth(robot)}, {ended}"
+    text = f"{len(robot.done)} of {tasks} task{'' if tasks == 1 else 's'} done"
+    return f"{text}, {failed} failed" if failed else text
 
 
-def _worth(robot: RobotSnapshot) -> str:
-    """The bid, or else the predicted gain."""
-    if robot.bid_text:
-        return f"bid {robot.bid_text}"
-    return f"gain {robot.gain:.0f}" if math.isfinite(robot.gain) else "gain -"
+def _reason(robot: RobotSnapshot) -> str:
+    """Why the robot asks, where it says so, else nothing.
+
+    What some policies bid is no cost, so that only a bid that equals the predicted gain is named.
+    """
+    if robot.stuck:
+        return "It is stuck"
+    if robot.bid is not None and robot.bid == robot.gain:
+        return f"Help is expected to save {short_number(robot.bid)} in cost"
+    return ""
 
 
 def _at(points: np.ndarray, z: float) -> np.ndarray:

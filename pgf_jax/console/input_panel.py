@@ -33,6 +33,16 @@ class Feedback:
     answered: bool = False
 
 
+@dataclasses.dataclass(frozen=True)
+class Allowed:
+    """The actions of a client that would not be refused now: see the methods of `InputPanel`."""
+
+    take: bool = False
+    confirm: bool = False
+    go_on: bool = False
+    undo: bool = False
+
+
 class InputPanel:
     """The one client that operates, and the push that it has picked for the robot being served.
 
@@ -68,6 +78,16 @@ class InputPanel:
             return False
         self.operator = None
         return True
+
+    def allowed(self, client: int) -> Allowed:
+        """What a client could do now; the operator need not `take` again."""
+        if self._refusal(client) is not None:
+            return Allowed(take=self.operator is None)
+        return Allowed(
+            confirm=self.target is not None and not self.problem,
+            go_on=True,
+            undo=self.object is not None,
+        )
 
     # -- services -------------------------------------------------------------------------------
 
@@ -168,9 +188,7 @@ class InputPanel:
             return Feedback(self.problem, ok=False)
         push = Push(self.object, *self.target)
         self.answer(push)
-        return Feedback(
-            f"Object {push.object + 1} to ({push.x:.3f}, {push.y:.3f}) m.", answered=True
-        )
+        return Feedback(f"Object {push.object + 1} to {_place(push.x, push.y)}.", answered=True)
 
     def go_on(self, client: int) -> Feedback:
         """Give "go on reaching" as the input."""
@@ -219,6 +237,12 @@ def _outside(x: float, y: float) -> str:
     if x > BACK_WALL_X - RADIUS + CLEARANCE or abs(y) > SIDE_WALL_Y - RADIUS + CLEARANCE:
         return "The object would stand in the wall there."
     return ""
+
+
+def _place(x: float, y: float) -> str:
+    """A place on the shelf in words, as the robot sees it."""
+    side = "left" if y >= 0 else "right"
+    return f"{x - FRONT_X:.2f} m deep on the shelf, {abs(y):.2f} m {side} of the middle"
 
 
 def _object_at(view: View, x: float, y: float) -> int | None:

@@ -13,7 +13,7 @@ import numpy as np
 WIDTH, HEIGHT = 12.0, 10.0
 STRIP = 3.1  # height of the grid of cells while a shelf is drawn large
 # The parts of a cell, in metres on the scale of its shelf.
-CELL_WIDTH, CELL_HEIGHT = 0.90, 1.10
+CELL_WIDTH, CELL_HEIGHT = 0.90, 1.16
 SHELF_V = 0.25  # height of x = 0 above the cell's lower edge
 CURVE_V = (0.02, 0.17)  # lower and upper edge of the curve
 LARGE_TOP = 0.89  # upper edge of a large cell, which has neither curve nor caption in it

@@ -4,6 +4,8 @@ Only this module and `drawing.py` use viser.
 """
 
 import contextlib
+import dataclasses
+import enum
 import io
 import logging
 import math
@@ -14,10 +16,10 @@ from typing import Any
 import numpy as np
 import viser
 
-from pgf_jax.console import layout
+from pgf_jax.console import layout, legend
 from pgf_jax.console.access_control import AccessControl, Bucket
 from pgf_jax.console.drawing import Drawing
-from pgf_jax.console.input_panel import Feedback, InputPanel
+from pgf_jax.console.input_panel import Allowed, Feedback, InputPanel
 from pgf_jax.console.layout import Layout
 from pgf_jax.console.session import Frame, Session
 from pgf_jax.errors import BadInput
@@ -27,10 +29,9 @@ log = logging.getLogger(__name__)
 
 MARGIN = 1.02  # size of the visible plane over that of the drawing
 FOV = 0.35  # rad; narrow, so that the drawing has little perspective
+LABEL = "Robots on shelves"  # title of the page; no name of the program, which tells a policy
 ACTIONS_PER_S, ACTIONS_AT_ONCE = 10.0, 20.0  # of a client; no person is so fast
 HELP = """\
-Blue: the best trajectory so far; brown: where it would take the objects. It fails: what would help?
-
 **Mouse**: click an object, then the place it should come to, then *Push*.
 
 **Keyboard**: Tab next object, I J K L move its place, Enter push, Escape undo, G go on reaching,
@@ -38,8 +39,50 @@ O operate, V view from the front.
 """
 
 
+# Buttons with a key: label, colour, key, field of `Allowed`, action.
+_ACTS: tuple[tuple[str, Any, Any, str, Callable[[InputPanel, int], Feedback]], ...] = (
+    ("Push", "green", "enter", "confirm", InputPanel.confirm),
+    ("Go on reaching", "blue", "G", "go_on", InputPanel.go_on),
+    ("Undo", "gray", "escape", "undo", InputPanel.undo),
+)
+
+
+class Order(enum.IntEnum):
+    """Order of the parts of the side panel, from the top."""
+
+    STATUS = 1
+    ROLE = 2
+    FEEDBACK = 3
+    BUTTONS = 4
+    LEGEND = 5
+    HELP = 6
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Controls:
+    """What a client has for itself in the side panel.
+
+    Attributes:
+      role: says whether the client operates.
+      feedback: to its last action, while it operates.
+      buttons: by the field of `Allowed` that enables them.
+    """
+
+    role: viser.GuiMarkdownHandle
+    feedback: viser.GuiMarkdownHandle
+    buttons: dict[str, viser.GuiButtonHandle]
+
+    def show(self, role: str, allowed: Allowed) -> None:
+        """Show the role, and enable the buttons that can act."""
+        _assign(self.role, "content", role)
+        for name, button in self.buttons.items():
+            _assign(button, "disabled", not getattr(allowed, name))
+
+
 class Page:
     """The page of a session: a server for browsers.
+
+    It never tells the policy's name: an operator who knew it might act by it.
 
     Args:
       host, port: to listen on.
@@ -62,14 +105,14 @@ class Page:
         live: bool,
     ) -> None:
         with access.guard(), _quiet():
-            self.server = viser.ViserServer(host=host, port=port, label="pgf_jax", verbose=False)
+            self.server = viser.ViserServer(host=host, port=port, label=LABEL, verbose=False)
         if port not in (0, self.server.get_port()):
             self.server.stop()
             raise BadInput(f"port: {port} is taken; expected a free one, or 0 for any")
         self._robots, self._live = robots, live
         self._session: Session | None = None
         self._layout = Layout.of(robots, None)
-        self._roles: dict[int, viser.GuiMarkdownHandle] = {}  # of each client: whether it operates
+        self._controls: dict[int, _Controls] = {}  # of each client
         self._buckets: dict[int, Bucket] = {}
         self._flooding: set[int] = set()
         self._lock = threading.Lock()
@@ -84,9 +127,10 @@ class Page:
             ("fov", FOV),
         ):
             setattr(server.initial_camera, name, value)
-        self._status = server.gui.add_markdown("Starting ...")
-        self._feedback = server.gui.add_markdown("")
-        self._make_controls()
+        self._status = server.gui.add_markdown("Starting ...", order=Order.STATUS)
+        server.gui.add_html(legend.html(live=live), order=Order.LEGEND)
+        server.gui.add_markdown(HELP if live else "V: view from the front.", order=Order.HELP)
+        self._add_commands()
         # viser takes coroutines here too, but its types do not say so.
         server.scene.on_click()(self._on_click)  # pyright: ignore[reportArgumentType]
         server.on_client_connect(self._on_connect)
@@ -102,8 +146,8 @@ class Page:
     def open(self, session: Session) -> None:
         """Connect the page to a session, and offer each client to operate."""
         self._session = session
-        for client in self.server.get_clients().values():
-            self._offer_to_operate(client)
+        for client in self.server.get_clients():
+            self._take(client)
 
     def close(self) -> None:
         """Stop the server."""
@@ -118,35 +162,33 @@ class Page:
         layout_now = Layout.of(self._robots, served)
         with self.server.atomic():
             self._drawing.show(frame, layout_now)
-            status = self._status_of(frame)
-            if status != self._status.content:
-                self._status.content = status
-            self._show_roles()
+            _assign(self._status, "content", self._status_of(frame))
+            self._show_controls(over=frame.over)
         self._layout = layout_now
         self.server.flush()
 
-    def _show_roles(self) -> None:
+    def _show_controls(self, *, over: bool) -> None:
         session = self._session
         if session is None or not self._live:
             return
         operator = session.panel.operator
-        for client, handle in list(self._roles.items()):
+        for client, controls in list(self._controls.items()):
             if client == operator:
                 role = "You operate."
             elif operator is None:
                 role = "You watch, and nobody operates: *Operate* to do so."
             else:
                 role = "You watch, somebody else operates."
-            if handle.content != role:
-                handle.content = role
+            controls.show(role, Allowed() if over else session.panel.allowed(client))
 
     def _status_of(self, frame: Frame) -> str:
         fleet = frame.fleet
+        waiting = ""
         if frame.over:
             head = "The session is over. Thank you."
         elif frame.picked is not None:
-            waited = int(fleet.robots[frame.picked.robot].waited_s)
-            head = f"Robot {frame.picked.robot} asks ({waited} s)"
+            head = f"Robot {frame.picked.robot} asks"
+            waiting = f"waiting {int(fleet.robots[frame.picked.robot].waited_s)} s · "
         elif fleet.serving is not None:
             head = f"Robot {fleet.serving} is being helped"
         elif self._live and not frame.running:
@@ -154,23 +196,18 @@ class Page:
         elif self._live and not fleet.attended:
             head = "The operator is away"
         else:
-            head = "Bids are collected" if fleet.window_open else "No robot asks"
-        behind = f", {frame.behind_s:.0f} s behind" if frame.behind_s >= 1 else ""
+            head = "Robots ask: one is chosen" if fleet.window_open else "No robot asks"
+        behind = f" ({frame.behind_s:.0f} s behind)" if frame.behind_s >= 1 else ""
         time = clock(fleet.time_ns // 1_000_000_000)
-        return f"### {head}\n{time}{behind} · {fleet.policy} · {fleet.progress}"
+        return f"### {head}\n{waiting}time {time}{behind} · {fleet.progress}"
 
     # -- what clients do ------------------------------------------------------------------------
 
-    def _make_controls(self) -> None:
+    def _add_commands(self) -> None:
+        """Add the commands of the keyboard: what is not allowed is refused with a word."""
         gui = self.server.gui
         if self._live:
-            acts: tuple[tuple[str, Any, Any, Callable[[InputPanel, int], Feedback]], ...] = (
-                ("Push", "green", "enter", lambda panel, client: panel.confirm(client)),
-                ("Go on reaching", "blue", "G", lambda panel, client: panel.go_on(client)),
-                ("Undo", "gray", "escape", lambda panel, client: panel.undo(client)),
-            )
-            for label, color, key, do in acts:
-                gui.add_button(label, color=color).on_click(self._handler(do))
+            for label, _, key, _, do in _ACTS:
                 gui.add_command(label, hotkey=key).on_trigger(self._handler(do))
             moves: tuple[tuple[Any, str, int, int], ...] = (
                 # The arrows, and W A S D Q E, move viser's camera.
@@ -186,10 +223,24 @@ class Page:
             gui.add_command("Next object", hotkey="tab").on_trigger(
                 self._handler(lambda panel, client: panel.next_object(client))
             )
-            gui.add_button("Operate", color="gray").on_click(self._on_take)
             gui.add_command("Operate", hotkey="O").on_trigger(self._on_take)
         gui.add_command("View from the front", hotkey="V").on_trigger(self._on_view)
-        gui.add_markdown(HELP if self._live else "V: view from the front.")
+
+    def _new_controls(self, client: viser.ClientHandle) -> "_Controls":
+        """Add the controls of a client; the buttons are disabled until a frame is shown."""
+        role = client.gui.add_markdown("", order=Order.ROLE)
+        feedback = client.gui.add_markdown("", order=Order.FEEDBACK)
+        buttons = {}
+        for label, color, _, name, do in _ACTS:
+            buttons[name] = client.gui.add_button(
+                label, color=color, disabled=True, order=Order.BUTTONS
+            )
+            buttons[name].on_click(self._handler(do))
+        buttons["take"] = client.gui.add_button(
+            "Operate", color="gray", disabled=True, order=Order.BUTTONS
+        )
+        buttons["take"].on_click(self._on_take)
+        return _Controls(role, feedback, buttons)
 
     def _handler(self, do: Callable[[InputPanel, int], Feedback]) -> Callable[[Any], Any]:
         async def handle(event: Any) -> None:
@@ -212,9 +263,15 @@ class Page:
         session.act(client, do, lambda feedback: self._tell(client, feedback))
 
     async def _on_take(self, event: Any) -> None:
-        client, session = event.client_id, self._session
-        if client is not None and session is not None and self._may(client):
-            session.take(client, lambda feedback: self._tell(client, feedback))
+        if event.client_id is not None and self._may(event.client_id):
+            self._take(event.client_id)
+
+    def _take(self, client: int) -> None:
+        """Make a client the operator, if nobody operates; its role says so."""
+        if self._live and self._session is not None:
+            self._session.take(
+                client, lambda feedback: None if feedback.ok else self._tell(client, feedback)
+            )
 
     async def _on_view(self, event: Any) -> None:
         client = self.server.get_clients().get(event.client_id)
@@ -239,38 +296,40 @@ class Page:
         operates = session is not None and session.panel.operator == client
         if not feedback.ok:
             log.info("client %d refused: %s", client, feedback.text)
-        if operates:
-            text = feedback.text
-            self._feedback.content = f"**{text}**" if feedback.ok else f"**Refused.** {text}"
-            self.server.flush()
+        handle, controls = self.server.get_clients().get(client), self._controls.get(client)
+        if handle is None or controls is None:
             return
-        handle = self.server.get_clients().get(client)
-        if handle is not None:
-            handle.add_notification("", feedback.text, auto_close_seconds=4.0)
-            handle.flush()
+        text = feedback.text
+        if operates:
+            text = f"**{text}**" if feedback.ok else f"**Refused.** {text}"
+            _assign(controls.feedback, "content", text)
+        else:
+            handle.add_notification("", text, auto_close_seconds=4.0)
+        handle.flush()
 
     # -- clients that come and go ---------------------------------------------------------------
 
     async def _on_connect(self, client: viser.ClientHandle) -> None:
         log.info("client %d connected", client.client_id)
         _look(client)
-        self._roles[client.client_id] = client.gui.add_markdown("")
-        self._offer_to_operate(client)
-
-    def _offer_to_operate(self, client: viser.ClientHandle) -> None:
-        """Make a client the operator, if nobody operates."""
-        if self._live and self._session is not None:
-            number = client.client_id
-            self._session.take(number, lambda feedback: self._tell(number, feedback))
+        if self._live:
+            self._controls[client.client_id] = self._new_controls(client)
+        self._take(client.client_id)
 
     async def _on_disconnect(self, client: viser.ClientHandle) -> None:
         log.info("client %d left", client.client_id)
         with self._lock:
-            self._roles.pop(client.client_id, None)
+            self._controls.pop(client.client_id, None)
             self._buckets.pop(client.client_id, None)
             self._flooding.discard(client.client_id)
         if self._session is not None:
             self._session.leave(client.client_id)
+
+
+def _assign(handle: Any, attribute: str, value: Any) -> None:
+    """Set an attribute of a handle, which sends it, if it differs."""
+    if getattr(handle, attribute) != value:
+        setattr(handle, attribute, value)
 
 
 def _quiet() -> contextlib.AbstractContextManager:

@@ -21,6 +21,8 @@ from pgf_jax.planning.planner import start_world
 from pgf_jax.planning.types import Push
 from pgf_jax.tables.event_log import first_difference, read_log
 
+BUTTONS = ("Push", "Go on reaching", "Undo", "Operate")
+
 
 def a_push(scene) -> Push:
     """A push of an object at the front to a free place."""
@@ -40,17 +42,32 @@ def a_push(scene) -> Push:
     raise AssertionError("no object can be pushed anywhere")
 
 
+def wait_until_enabled(page, *names: str) -> None:
+    """Wait until these buttons can act, and no others."""
+
+    def enabled():
+        buttons = [(name, page.get_by_role("button", name=name, exact=True)) for name in BUTTONS]
+        return {name for name, button in buttons if button.is_enabled()}
+
+    wait_for(lambda: enabled() == set(names))
+
+
 def test_a_person_clicks_an_object_and_a_place_and_the_robot_goes_on_with_that(tmp_path):
     """The operator also leaves and comes back, a second client watches; the session replays."""
     # `always` asks before it plans, so a robot asks at once.
     options = ("--robots", "2", "--tasks", "1", "--policy", "always", "--seed", "0")
     with console(tmp_path / "s", *options) as server, browser() as chromium:
-        page = visit(chromium, server.url)
+        received: list[bytes] = []
+        page = visit(chromium, server.url, received)
         wait_for_text(page, "Robot 0 asks")
+        for text in ("Each robot must grasp its green object.", "object to grasp", "being helped"):
+            wait_for_text(page, text)
         push, cell = a_push(scene_of(0, 0)), large(2, 0)
         positions = scene_of(0, 0).positions
 
+        wait_until_enabled(page, "Go on reaching")
         click_shelf(page, cell, positions[push.object])
+        wait_until_enabled(page, "Go on reaching", "Undo")
         wait_for_text(page, f"Object {push.object + 1}: now click where it should come to.")
         # Targets that are not allowed are refused, and the picked object is kept.
         click_shelf(page, cell, np.array([0.5, 0.43]))
@@ -59,17 +76,23 @@ def test_a_person_clicks_an_object_and_a_place_and_the_robot_goes_on_with_that(t
         wait_for_text(page, f"Object {scene_of(0, 0).goal + 1} stands there.")
         click_shelf(page, cell, np.array([push.x, push.y]))
         wait_for_text(page, "Confirm (Enter)")
+        wait_until_enabled(page, "Push", "Go on reaching", "Undo")
 
         # A second client may watch only.
         other = visit(chromium, server.url)
         wait_for_text(other, "You watch, somebody else operates.")
-        other.get_by_role("button", name="Push").click()
+        wait_until_enabled(other)
+        other.keyboard.press("Enter")
         wait_for_text(other, "you watch")
         other.close()
         assert not [e for e in server.events() if e["kind"] == "service_end"]
 
         page.get_by_role("button", name="Push").click()
-        wait_for_text(page, f"Object {push.object + 1} to (")
+        wait_for_text(page, "m deep on the shelf")
+        # The operator does not learn the policy.
+        assert any(b"Robot 0: being helped" in messages for messages in received)
+        assert not any(b"always" in messages or b"pgf" in messages for messages in received)
+        assert "always" not in page.inner_text("body")
         given = server.wait_for(
             lambda events: [e for e in events if e["kind"] == "service_end" and e["robot"] == 0]
         )[0]

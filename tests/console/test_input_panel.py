@@ -7,7 +7,15 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pgf_jax.console.input_panel import CLEARANCE, REACH, STEP, Feedback, InputPanel, target_problem
+from pgf_jax.console.input_panel import (
+    CLEARANCE,
+    REACH,
+    STEP,
+    Allowed,
+    Feedback,
+    InputPanel,
+    target_problem,
+)
 from pgf_jax.console.live_operator import InputRequest
 from pgf_jax.guidance.view import View
 from pgf_jax.planning.types import UNANSWERED, Push
@@ -130,6 +138,23 @@ def test_what_was_picked_is_kept_for_the_next_operator():
     assert service.given == [Push(0, 0.3, 0.2)]
 
 
+def test_what_clients_could_do():
+    panel = InputPanel()
+    assert panel.allowed(ME) == Allowed(take=True)
+    panel.take(ME)
+    assert panel.allowed(ME) == panel.allowed(OTHER) == Allowed()
+    panel.open(Service().request)
+    assert panel.allowed(ME) == Allowed(go_on=True)
+    panel.click(ME, ROBOT, *OBJECTS[0])
+    assert panel.allowed(ME) == Allowed(go_on=True, undo=True)
+    panel.click(ME, ROBOT, 0.3, 0.2)
+    assert panel.allowed(ME) == Allowed(confirm=True, go_on=True, undo=True)
+    panel.click(ME, ROBOT, *OBJECTS[0])
+    panel.nudge(ME, 5, 10)  # where another object stands
+    assert panel.problem and panel.allowed(ME) == Allowed(go_on=True, undo=True)
+    assert panel.allowed(OTHER) == Allowed()
+
+
 # -- object, point, confirmation -------------------------------------------------------------------
 
 
@@ -145,7 +170,9 @@ def test_a_push_is_picked_by_two_clicks_and_confirmed():
     assert panel.click(ME, ROBOT, 0.3, 0.15).ok  # another place
     assert service.given == []
     feedback = panel.confirm(ME)
-    assert feedback == Feedback("Object 1 to (0.300, 0.150) m.", answered=True)
+    assert feedback == Feedback(
+        "Object 1 to 0.10 m deep on the shelf, 0.15 m left of the middle.", answered=True
+    )
     assert service.given == [Push(0, 0.3, 0.15)]
     assert all(type(value) is float for value in (service.given[0].x, service.given[0].y))
     assert state(panel) == (ME, None, None, None, "")
@@ -448,6 +475,7 @@ def test_whatever_clients_do(todo):
     panel, services = InputPanel(), []
     for name, client, *more in todo:
         before, operator = state(panel), panel.operator
+        allowed = client and panel.allowed(client)
         counts = [len(service.given) for service in services]
         feedback = do(panel, services, name, client, *more)
         after = state(panel)
@@ -457,6 +485,8 @@ def test_whatever_clients_do(todo):
             assert [len(service.given) for service in services] == counts
         if isinstance(feedback, Feedback):
             assert feedback.text and "\n" not in feedback.text
+            if name in ("confirm", "go on", "undo") or (name == "take" and client != operator):
+                assert feedback.ok == getattr(allowed, name.replace(" ", "_"))
             if not feedback.ok:
                 assert not feedback.answered
                 # A place on its way through an object moves all the same.

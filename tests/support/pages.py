@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from console_browser import CHROMIUM_FLAGS, HEIGHT, WIDTH, journal_events, pixel_of
 from playwright.sync_api import sync_playwright
 
@@ -92,10 +93,16 @@ def browser() -> Iterator[Any]:
             chromium.close()
 
 
-def visit(chromium: Any, url: str) -> Any:
-    """Open a page that shows the console."""
+def visit(chromium: Any, url: str, received: list[bytes] | None = None) -> Any:
+    """Open a page that shows the console; `received` takes the messages that it is sent."""
     size = {"width": WIDTH, "height": HEIGHT}
     page = chromium.new_context(viewport=size).new_page()
+    if received is not None:
+        keep = received.append
+        page.on(
+            "websocket",
+            lambda socket: socket.on("framereceived", lambda frame: keep(messages_in(frame))),
+        )
     page.goto(url)
     page.wait_for_selector("canvas", timeout=1e3 * PATIENCE_S)
     # Without a GPU viser shows a notice in front of the drawing.
@@ -103,6 +110,12 @@ def visit(chromium: Any, url: str) -> Any:
     notice.locator("button").click(timeout=1e3 * PATIENCE_S)
     notice.wait_for(state="detached", timeout=1e3 * PATIENCE_S)
     return page
+
+
+def messages_in(frame: bytes) -> bytes:
+    """The messages of a websocket frame of viser, without their arrays."""
+    end = 16 + int.from_bytes(frame[8:16], "little")  # after two lengths: raw, and compressed
+    return zstandard.decompress(frame[16:end])
 
 
 def wait_for_text(page: Any, text: str) -> None:
