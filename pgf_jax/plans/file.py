@@ -57,6 +57,7 @@ class Plan:
       pushes: executed.
       requests, grants: asks made, and services begun.
       non_finite: iterations in which some rollout's cost was not finite.
+      settings: other fields of `PlanConfig` that were not at their defaults, by name.
     """
 
     scene: Scene
@@ -83,6 +84,7 @@ class Plan:
     requests: int
     grants: int
     non_finite: int
+    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def from_task(cls, config: PlanConfig, seed: int, planned: PlannedFleet) -> "Plan":
@@ -117,6 +119,7 @@ class Plan:
             requests=record.requests,
             grants=record.grants,
             non_finite=record.non_finite,
+            settings=_other_settings(config),
         )
 
     @property
@@ -175,7 +178,19 @@ class Plan:
             "cost": {name: _or_null(value) for name, value in self.cost.items()},
             "history": [[_or_null(term) for term in row] for row in self.history.tolist()],
             "history_starts": list(self.history_starts),
+            "settings": dict(self.settings),
         }
+
+
+def _other_settings(config: PlanConfig) -> dict[str, Any]:
+    """The settings that a plan has no field for and that are not at their defaults, as JSON."""
+    own = {*_TEXTS, "cost", "lanes"}
+    values = {
+        field.name: getattr(config, field.name)
+        for field in dataclasses.fields(PlanConfig)
+        if field.name not in own and getattr(config, field.name) != field.default
+    }
+    return {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
 
 
 _TEXTS = ("engine", "physics", "cost_variant", "update", "operator", "ask")
@@ -281,6 +296,7 @@ def _from_json(content: Any) -> Plan:
         cost=dict(zip(cost, values.tolist(), strict=True)),
         history=_numbers(history, (len(history), 3), "history", null=True),
         history_starts=tuple(starts),
+        settings=_get({"settings": {}, **content}, "settings", dict),  # earlier plans have none
         **plain,
     )
 

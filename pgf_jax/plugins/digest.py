@@ -34,9 +34,15 @@ def module_name(module: str) -> str:
     return MAIN[0] if spec is None else spec.name
 
 
+def source_file(names: Mapping[str, Any]) -> str | None:
+    """The file of a module, by its names; None for a notebook, a prompt, or standard input."""
+    file = names.get("__file__")
+    return file if isinstance(file, str) and Path(file).is_file() else None
+
+
 def is_interactive(module: str) -> bool:
     """Whether a module is a notebook or a prompt, which no other process can import."""
-    return module == MAIN[0] and getattr(sys.modules.get(module), "__file__", None) is None
+    return module == MAIN[0] and source_file(vars(sys.modules[module])) is None
 
 
 def source_digest(module: str, make: Any, file: str | None = None) -> str | None:

@@ -15,6 +15,7 @@ from pgf_jax.plugins.digest import (
     packages_of,
     settings_digest,
     source_digest,
+    source_file,
 )
 from pgf_jax.settings import check_choice
 
@@ -168,7 +169,7 @@ class Caller(NamedTuple):
 def caller() -> Caller:
     """The module that calls the function that calls this."""
     names = sys._getframe(2).f_globals
-    return Caller(module_name(names.get("__name__", "")), names.get("__file__"))
+    return Caller(module_name(names.get("__name__", "")), source_file(names))
 
 
 def made_of(plugin: Plugin, made: Any) -> str:

@@ -1,5 +1,6 @@
 """Plan files: their fields, and what is refused when one is read."""
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 from pgf_jax.errors import BadInput
 from pgf_jax.planning.types import Status
+from pgf_jax.plans.config import PlanConfig
 from pgf_jax.plans.file import Plan, load_plan, plan_path, save_plan
 from pgf_jax.scene import Scene
 from pgf_jax.simulation.planned_robots import Segment
@@ -86,6 +88,7 @@ def test_a_plan_file_by_hand(tmp_path):
         "update": "greedy",
         "operator": "heuristic",
         "ask": "after:3",
+        "settings": {},
         "objects": [[0.4, 0.1, 0.03], [0.5, 0.0, 0.03]],
         "goal": 1,
         "segments": [
@@ -209,3 +212,14 @@ def test_a_folder_that_cannot_be_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInput, match="cannot be written"):
         save_plan(tmp_path / "file", a_plan())
+
+
+def test_a_plan_says_which_other_settings_it_was_made_with(tmp_path):
+    from pgf_jax.plans.file import _other_settings
+
+    assert _other_settings(PlanConfig(engine="native", lanes=3)) == {}
+    config = PlanConfig(sigma=(0.1, 0.1, 0.1), cost_weights=("w_d=1",), task_limit=90.0)
+    settings = {"sigma": [0.1, 0.1, 0.1], "cost_weights": ["w_d=1"], "task_limit": 90.0}
+    assert _other_settings(config) == settings
+    made = dataclasses.replace(a_plan(), settings=settings)
+    assert load_plan(save_plan(tmp_path, made)).settings == settings

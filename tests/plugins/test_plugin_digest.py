@@ -171,3 +171,10 @@ def test_the_code_of_a_notebook_counts(monkeypatch):
 def test_no_code_at_all(monkeypatch):
     monkeypatch.setitem(sys.modules, "__main__", types.ModuleType("__main__"))
     assert source_digest("__main__", len) is None
+
+
+def test_a_module_without_a_file_that_is_there(tmp_path):
+    (tmp_path / "here.py").write_text("")
+    assert digest.source_file({"__file__": str(tmp_path / "here.py")}) is not None
+    for names in ({}, {"__file__": None}, {"__file__": "<stdin>"}):
+        assert digest.source_file(names) is None
