@@ -79,10 +79,14 @@ class InputPanel:
         self.operator = None
         return True
 
-    def allowed(self, client: int) -> Allowed:
-        """What a client could do now; the operator need not `take` again."""
+    def allowed(self, client: int, *, attended: bool = True) -> Allowed:
+        """What a client could do now.
+
+        The operator need not `take` again, unless robots take it to be away: `attended` is False.
+        """
         if self._refusal(client) is not None:
-            return Allowed(take=self.operator is None)
+            away = self.operator == client and not attended
+            return Allowed(take=self.operator is None or away)
         return Allowed(
             confirm=self.target is not None and not self.problem,
             go_on=True,

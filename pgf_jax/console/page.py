@@ -163,11 +163,11 @@ class Page:
         with self.server.atomic():
             self._drawing.show(frame, layout_now)
             _assign(self._status, "content", self._status_of(frame))
-            self._show_controls(over=frame.over)
+            self._show_controls(over=frame.over, attended=frame.fleet.attended)
         self._layout = layout_now
         self.server.flush()
 
-    def _show_controls(self, *, over: bool) -> None:
+    def _show_controls(self, *, over: bool, attended: bool) -> None:
         session = self._session
         if session is None or not self._live:
             return
@@ -179,7 +179,8 @@ class Page:
                 role = "You watch, and nobody operates: *Operate* to do so."
             else:
                 role = "You watch, somebody else operates."
-            controls.show(role, Allowed() if over else session.panel.allowed(client))
+            allowed = session.panel.allowed(client, attended=attended)
+            controls.show(role, Allowed() if over else allowed)
 
     def _status_of(self, frame: Frame) -> str:
         fleet = frame.fleet

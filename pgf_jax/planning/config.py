@@ -55,9 +55,6 @@ class Cost:
     edge_x: Range = EDGE_X
     edge_y: Range = EDGE_Y
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclasses.dataclass(frozen=True)
 class Planner:
@@ -80,6 +77,7 @@ class Planner:
     def __post_init__(self) -> None:
         check_fields(self)
         check_choice("cost", self.cost.variant, ["source", "paper"])
+        check_fields(self.cost)
         if len(self.sigma) != 3:
             raise BadInput(f"sigma: expected three numbers (x, y, turn), got {self.sigma}")
         if self.random_winner > 0 and self.update == "stomp":

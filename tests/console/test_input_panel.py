@@ -143,6 +143,9 @@ def test_what_clients_could_do():
     assert panel.allowed(ME) == Allowed(take=True)
     panel.take(ME)
     assert panel.allowed(ME) == panel.allowed(OTHER) == Allowed()
+    # Whoever did not answer is taken to be away, and comes back by the same button.
+    assert panel.allowed(ME, attended=False) == Allowed(take=True)
+    assert panel.allowed(OTHER, attended=False) == Allowed()
     panel.open(Service().request)
     assert panel.allowed(ME) == Allowed(go_on=True)
     panel.click(ME, ROBOT, *OBJECTS[0])
