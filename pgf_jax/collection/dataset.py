@@ -17,6 +17,8 @@ import polars as pl
 from pgf_jax.collection.config import CollectConfig
 from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, json_bytes, parse_json, read_file, write_atomically
+from pgf_jax.guidance.operators.registry import world_plugins
+from pgf_jax.plugins.registry import plugins_record
 from pgf_jax.provenance import environment
 from pgf_jax.tables.forks import read_forks, write_forks
 from pgf_jax.tables.parquet import read_provenance
@@ -112,7 +114,15 @@ class Dataset:
 def _settings(config: CollectConfig) -> dict[str, Any]:
     """The settings that decide on what runs hold."""
     later = [name for name, default in _LATER.items() if getattr(config, name) != default]
-    return {name: getattr(config, name) for name in (*_KEPT, *later)}
+    settings = {name: getattr(config, name) for name in (*_KEPT, *later)}
+    plugins = _plugins(config)
+    return {**settings, "plugins": plugins} if plugins else settings
+
+
+def _plugins(config: CollectConfig) -> dict[str, Any]:
+    """What the runs use of plugins, and what that is made of."""
+    operator = None if config.mode == "autonomous" else config.operator
+    return plugins_record(world_plugins(config.engine, operator))
 
 
 def _as_json(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -146,6 +156,11 @@ def _write_settings(config: CollectConfig) -> None:
                     f"{name}: runs in {settings.parent} were collected with "
                     f"{before.get(name)!r}, expected the same to resume, got {wanted[name]!r}"
                 )
+        if before.get("plugins", {}) != _plugins(config):
+            raise BadInput(
+                f"{settings}: runs were collected with another version of a plugin; expected the "
+                "same to resume, or another folder"
+            )
         if wanted["scenes"] < before["scenes"]:
             raise BadInput(f"scenes: expected {before['scenes']} or more, got {wanted['scenes']}")
     kept = _settings(config) | {"scenes": wanted["scenes"]}

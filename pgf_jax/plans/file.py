@@ -14,8 +14,10 @@ import numpy as np
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import MIB, parse_json, read_file, write_atomically
+from pgf_jax.guidance.operators.registry import world_plugins
 from pgf_jax.planning.types import Status
 from pgf_jax.plans.config import PlanConfig
+from pgf_jax.plugins.registry import plugins_record
 from pgf_jax.provenance import environment
 from pgf_jax.scene.draw import draw_scene
 from pgf_jax.scene.scene import Scene
@@ -57,7 +59,8 @@ class Plan:
       pushes: executed.
       requests, grants: asks made, and services begun.
       non_finite: iterations in which some rollout's cost was not finite.
-      settings: other fields of `PlanConfig` that were not at their defaults, by name.
+      settings: other fields of `PlanConfig` that were not at their defaults, by name; and
+        `plugins`, where engine or operator are of one.
     """
 
     scene: Scene
@@ -183,13 +186,18 @@ class Plan:
 
 
 def _other_settings(config: PlanConfig) -> dict[str, Any]:
-    """The settings that a plan has no field for and that are not at their defaults, as JSON."""
+    """The settings that a plan has no field for and that are not at their defaults, as JSON.
+
+    And what engine and operator are made of, where they are of plugins.
+    """
     own = {*_TEXTS, "cost", "lanes"}
     values = {
         field.name: getattr(config, field.name)
         for field in dataclasses.fields(PlanConfig)
         if field.name not in own and getattr(config, field.name) != field.default
     }
+    plugins = plugins_record(world_plugins(config.engine, config.operator))
+    values |= {"plugins": plugins} if plugins else {}
     return {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
 
 

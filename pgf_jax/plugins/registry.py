@@ -3,7 +3,7 @@
 import dataclasses
 import importlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from pgf_jax.errors import BadInput, short_repr
@@ -146,6 +146,23 @@ class Registry(Generic[Make]):
         self.check(name)
         return self._entries[name].plugin
 
+    def made_of(self, name: str, *arguments: Any, built: bool = True) -> tuple[Plugin, str] | None:
+        """The plugin that an object is of, and the digest of everything that it is made of.
+
+        Args:
+          name: of the object.
+          *arguments: to make it with.
+          built: whether its settings are those of the object; else those of what makes it.
+
+        Returns:
+          None where it is built in.
+        """
+        plugin = self.plugin(name)
+        if plugin is None:
+            return None
+        make = self.make(name)
+        return plugin, made_of(plugin, make(*arguments) if built else make)
+
     def revision(self, name: str) -> int:
         """The revision of a built-in object; 1 unless its results have changed."""
         return self._revisions.get(name, 1) if self.plugin(name) is None else 1
@@ -197,6 +214,23 @@ def made_of(plugin: Plugin, made: Any) -> str:
             file = getattr(sys.modules.get(module), "__file__", None)
             parts.append(f"{module} {source_digest(module, type(made), file)}")
     return sha256("\n".join(parts).encode())
+
+
+def plugins_record(plugins: Iterable[tuple[Plugin, str]]) -> dict[str, Any]:
+    """Where objects of plugins come from, as JSON.
+
+    Args:
+      plugins: each with the digest of everything that the object is made of, see `made_of`.
+    """
+    return {
+        f"{plugin.kind} {plugin.name}": {
+            "module": plugin.module,
+            "version": plugin.version,
+            "source_sha256": plugin.source,
+            "sha256": made,
+        }
+        for plugin, made in plugins
+    }
 
 
 # -- in worker processes -------------------------------------------------------------------------

@@ -16,10 +16,9 @@ from pgf_jax.sweeping.config import SCENES
 from pgf_jax.sweeping.resolve import CellSpec, ResolvedSweep, differences
 
 MANIFEST, RUN = "manifest.json", "run.json"
-FIGURE = "fig6.png"
 RESULTS = (
     *("tasks.parquet", "events.parquet", "summary.csv", "fleets.csv", "paired.csv"),
-    FIGURE,
+    "fig6.png",
 )
 SESSION = ".session-"  # begins the names of files that exist while a sweep computes
 

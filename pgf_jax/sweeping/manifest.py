@@ -15,10 +15,11 @@ from pgf_jax.files import sha256
 from pgf_jax.fleet.config import Cell
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import MAX_CONTACTS
+from pgf_jax.plugins.registry import plugins_record
 from pgf_jax.provenance import environment, host
 from pgf_jax.sweeping.cell_file import FOLDER, Content
 from pgf_jax.sweeping.config import HOW, SCENES, SweepConfig
-from pgf_jax.sweeping.resolve import FORMAT, ResolvedSweep, plugins_record
+from pgf_jax.sweeping.resolve import FORMAT, ResolvedSweep
 from pgf_jax.sweeping.run_cells import BatchStats
 
 

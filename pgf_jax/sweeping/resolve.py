@@ -5,7 +5,7 @@ The configuration stops here: what computes a cell knows its `CellSpec` alone.
 
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,14 @@ from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import sha256
 from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.policies import POLICIES
-from pgf_jax.guidance.operators.registry import OPERATORS, check_operator
+from pgf_jax.guidance.operators.registry import OPERATORS, check_operator, world_plugins
 from pgf_jax.guidance.predictors.checkpoint import PAIR, checkpoint_name, shipped_checkpoints
 from pgf_jax.guidance.predictors.registry import NETWORKS, PredictorSpec, predictor_spec
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import ENGINES
 from pgf_jax.planning.config import PLANNER_REVISION
-from pgf_jax.plugins.registry import Plugin, made_of
+from pgf_jax.plugins.registry import Plugin, plugins_record
 from pgf_jax.provenance import DECISIVE, device, environment, versions
 from pgf_jax.scene import Scene, load_scenes
 from pgf_jax.scene.file import read_scenes
@@ -243,31 +243,12 @@ def _shipped() -> bool:
 
 def _plugins(fleet: FleetSpec) -> tuple[tuple[Plugin, str], ...]:
     """What a fleet uses of plugins, and the digest of what each is made of."""
-    used = []
-    for registry, name, made in (
-        (POLICIES, fleet.config.policy, lambda make: make(fleet.config)),
-        (OPERATORS, fleet.operator, lambda make: make()),
-        (ENGINES, fleet.engine, lambda make: make),  # an engine itself may hold anything
-    ):
-        if registry is OPERATORS and name in (REPLAY, LIVE):
-            continue
-        plugin = registry.plugin(name)
-        if plugin is not None:
-            used.append((plugin, made_of(plugin, made(registry.make(name)))))
-    return tuple(used)
-
-
-def plugins_record(plugins: Iterable[tuple[Plugin, str]]) -> dict[str, Any]:
-    """Where the policy, the operator and the engine come from that are of plugins, as JSON."""
-    return {
-        f"{plugin.kind} {plugin.name}": {
-            "module": plugin.module,
-            "version": plugin.version,
-            "source_sha256": plugin.source,
-            "sha256": sha256_of_all,
-        }
-        for plugin, sha256_of_all in plugins
-    }
+    operator = None if fleet.operator in (REPLAY, LIVE) else fleet.operator
+    used = (
+        POLICIES.made_of(fleet.config.policy, fleet.config),
+        *world_plugins(fleet.engine, operator),
+    )
+    return tuple(one for one in used if one is not None)
 
 
 def _revisions(fleet: FleetSpec) -> dict[str, int]:

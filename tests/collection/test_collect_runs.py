@@ -253,3 +253,20 @@ def test_wrong_settings_are_named(tmp_path, changes, message):
     with pytest.raises(BadInput) as error:
         settings(tmp_path, **changes)
     assert message in str(error.value)
+
+
+def test_runs_of_another_version_of_a_plugin_are_not_mixed_in(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        collect(settings(tmp_path, mode="human"), on_progress=Interrupter(0))
+    resumed = settings(tmp_path, mode="human", resume=True)
+
+    class Other(Aside):
+        pass
+
+    with (
+        registered(operators.OPERATORS, aside=Other),
+        pytest.raises(BadInput, match="collected with another version of a plugin"),
+    ):
+        collect(resumed)
+    with registered(operators.OPERATORS, aside=Aside):
+        collect(resumed)

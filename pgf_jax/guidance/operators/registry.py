@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.guidance.operators.base import AnyOperator, NoOperator
-from pgf_jax.plugins.registry import Registry, caller
+from pgf_jax.physics.engine import ENGINES
+from pgf_jax.plugins.registry import Plugin, Registry, caller
 
 # These import late: the operators need the planner and so JAX, and the command line lists them.
 
@@ -86,6 +87,14 @@ def make_operator(name: str) -> AnyOperator:
             f"operator {name!r}: {short_repr(operator)} has no method decide(view), see Operator"
         )
     return operator
+
+
+def world_plugins(engine: str, operator: str | None) -> list[tuple[Plugin, str]]:
+    """What an engine and an operator (None: nobody) are made of, where they are of plugins."""
+    used = [ENGINES.made_of(engine, built=False)]  # an engine itself may hold anything
+    if operator is not None:
+        used.append(OPERATORS.made_of(operator))
+    return [one for one in used if one is not None]
 
 
 def check_operator(name: str) -> None:
