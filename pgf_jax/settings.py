@@ -14,7 +14,7 @@ import os
 import sys
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -244,3 +244,34 @@ def _number(name: str, value: Any, kind: Any, bounds: Bounds | None) -> Any:
 def _wrong(name: str, expected: str, value: Any, choices: Sequence[str] = ()) -> BadInput:
     hint = did_you_mean(value, choices) if isinstance(value, str) else ""
     return BadInput(f"{name}: expected {expected}, got {kind_of(value)}{hint}")
+
+
+def named_values(name: str, texts: Sequence[str], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Parse NAME=VALUE texts of a setting.
+
+    Args:
+      name: of the setting, for messages.
+      texts: as given; a value is a number, or two with a comma between.
+      defaults: the names that there are; a default shows whether a value is a pair.
+
+    Returns:
+      Name -> value, whole numbers where the default is one.
+
+    Raises:
+      BadInput: no such name, a name twice, or no such value.
+    """
+    values: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        check_choice(name, key, list(defaults))
+        try:
+            kind = int if isinstance(defaults[key], int) else float
+            numbers = [kind(word) for word in value.split(",")]
+        except ValueError:
+            numbers = []
+        pair = isinstance(defaults[key], tuple)
+        if not equals or key in values or len(numbers) != (2 if pair else 1):
+            form = "LOW,HIGH" if pair else "NUMBER"
+            raise BadInput(f"{name}: expected {key}={form} once, got {short_repr(text)}")
+        values[key] = tuple(numbers) if pair else numbers[0]
+    return values

@@ -405,8 +405,8 @@ def test_the_flags_that_are_promised(capsys):
     for flag in [*flags.split(), "predictor"]:
         assert f"--{flag} " in out
     words = " ".join(out.replace("│", " ").split())
-    # The operator, the scene files, and weights of the cost.
-    assert words.count("(default: none)") == 3
+    # The operator, the scene files, constants of the physics and weights of the cost.
+    assert words.count("(default: none)") == 4
     assert "--plugin MODULE" in words
     assert "(default: stuck)" in words and "(default: planar)" in words
 

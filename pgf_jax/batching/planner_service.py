@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgf_jax.batching.requests import PredictGain, Request, Retreat, Step, robot_key_path
-from pgf_jax.physics.config import PHYSICS
+from pgf_jax.physics.config import Physics, physics_of
 from pgf_jax.physics.engine import ENGINES, Engine, make_engine
 from pgf_jax.planning.config import Planner as PlannerConfig
 from pgf_jax.planning.config import Planning, planner_of
@@ -122,12 +122,16 @@ def warm_up(planner_service: PlannerService, search: Search, seed: int) -> float
 def planner_service_of(config: Planning, n_objects: int) -> PlannerService:
     """The planner service for the engine, physics, planner and lanes of `config`."""
     return make_planner_service(
-        config.engine, config.physics, planner_of(config), config.lanes or 1, n_objects
+        config.engine,
+        physics_of(config.physics, config.physics_constants),
+        planner_of(config),
+        config.lanes or 1,
+        n_objects,
     )
 
 
 def make_planner_service(
-    engine: str, physics: str, planner: PlannerConfig, lanes: int, n_objects: int
+    engine: str, physics: Physics, planner: PlannerConfig, lanes: int, n_objects: int
 ) -> PlannerService:
     """A planner service with counters of its own.
 
@@ -139,14 +143,14 @@ def make_planner_service(
 @functools.lru_cache(maxsize=8)
 def _compiled(
     engine: str,
-    physics: str,
+    physics: Physics,
     planner: PlannerConfig,
     lanes: int,
     n_objects: int,
     make: Callable[..., Engine],  # an engine that is registered again is another one
 ) -> PlannerService:
     return PlannerService(
-        make_engine(engine, physics=PHYSICS[physics], n_objects=n_objects, lanes=lanes), planner
+        make_engine(engine, physics=physics, n_objects=n_objects, lanes=lanes), planner
     )
 
 

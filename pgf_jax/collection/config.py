@@ -8,7 +8,7 @@ import tyro
 
 from pgf_jax.errors import BadInput
 from pgf_jax.guidance.operators.registry import check_operator
-from pgf_jax.physics.config import PhysicsName
+from pgf_jax.physics.config import PhysicsName, physics_of
 from pgf_jax.physics.engine import check_engine, default_lanes
 from pgf_jax.planning.config import (
     PLANNER_OPTIONS,
@@ -46,6 +46,8 @@ class CollectConfig:
         in C), or a registered one.
       physics: physics constants: default, or paper (its time step, and the softness of the authors'
         contacts).
+      physics_constants: physics constants that are to be others than those, as in mass=1.2
+        object_friction=0.4; the names are the fields of Physics.
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
       cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
         in w_d=2000 feasible_cost=10; the names are the fields of Cost.
@@ -106,6 +108,7 @@ class CollectConfig:
     stuck_change: NotNegative = 50.0
     stuck_excess: NotNegative = 1000.0
     cost_weights: tuple[str, ...] = ()
+    physics_constants: tuple[str, ...] = ()
 
     GROUPS = (  # of options, for the help
         ("scene", ("scenes", "classes", "seed", "log")),
@@ -127,6 +130,7 @@ class CollectConfig:
             object.__setattr__(self, "lanes", default_lanes(self.engine))
         check_engine(self.engine)
         planner_of(self)
+        physics_of(self.physics, self.physics_constants)
         if self.mode != "autonomous":
             check_operator(self.operator)
             if self.operator == "none":

@@ -44,12 +44,8 @@ _KEPT = (
 )
 # Settings that were added later, with the values that were built in before: data of those keep
 # their bytes, and may be continued.
-_LATER = {
-    field.name: field.default
-    for field in dataclasses.fields(CollectConfig)
-    if field.name in ("random_winner", "cost_weights", "rollouts", "sigma", "stomp_h")
-    or field.name.startswith("stuck_")
-}
+_FIELDS = [(field.name, field.default) for field in dataclasses.fields(CollectConfig)]
+_LATER = dict(_FIELDS[_FIELDS.index(("resume", False)) + 1 :])
 
 
 @dataclasses.dataclass(frozen=True)

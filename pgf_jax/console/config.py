@@ -79,6 +79,8 @@ class ConsoleConfig:
         in C), or a registered one.
       physics: physics constants: default, or paper (its time step, and the softness of the authors'
         contacts).
+      physics_constants: physics constants that are to be others than those, as in mass=1.2
+        object_friction=0.4; the names are the fields of Physics.
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
       cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
         in w_d=2000 feasible_cost=10; the names are the fields of Cost.
@@ -138,6 +140,7 @@ class ConsoleConfig:
     stuck_change: NotNegative = 50.0
     stuck_excess: NotNegative = 1000.0
     cost_weights: tuple[str, ...] = ()
+    physics_constants: tuple[str, ...] = ()
 
     GROUPS = (  # of options, for the help
         ("fleet", ("robots", "policy", "tasks", "seed")),

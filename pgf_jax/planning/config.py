@@ -1,11 +1,10 @@
 """Settings of the cost and the planner; no JAX here, since the command line reads them."""
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
-from pgf_jax.errors import BadInput, short_repr
-from pgf_jax.settings import Bounds, Count, check_choice, check_fields
+from pgf_jax.errors import BadInput
+from pgf_jax.settings import Bounds, Count, check_choice, check_fields, named_values
 
 CostVariant = Literal["source", "paper"]
 Update = Literal["greedy", "stomp"]
@@ -21,7 +20,8 @@ EDGE_X, EDGE_Y = (0.20, 0.58), (-0.38, 0.38)  # m, where the centre of an object
 PLANNER_REVISION = 1
 # Options of the commands that plan, in their order in the help.
 PLANNER_OPTIONS = (
-    *("engine", "physics", "cost", "cost_weights", "update", "random_winner", "rollouts"),
+    *("engine", "physics", "physics_constants", "cost", "cost_weights", "update"),
+    *("random_winner", "rollouts"),
     *("sigma", "stomp_h", "stuck_count", "stuck_change", "stuck_excess", "lanes"),
 )
 SIGMA = (0.04, 0.04, 0.04)  # m/s, m/s, rad/s
@@ -101,6 +101,11 @@ class Planning(Protocol):
         ...
 
     @property
+    def physics_constants(self) -> tuple[str, ...]:
+        """Physics constants that differ from those named by `physics`, as NAME=VALUE."""
+        ...
+
+    @property
     def cost(self) -> CostVariant:
         """Cost variant."""
         ...
@@ -156,8 +161,12 @@ class Planning(Protocol):
         ...
 
 
+_WEIGHTS = {field.name: field.default for field in dataclasses.fields(Cost)[1:]}
+
+
 def planner_of(config: Planning) -> Planner:
     """The planner's settings, out of a command's; BadInput where they cannot be."""
+    weights = named_values("cost_weights", config.cost_weights, _WEIGHTS)
     return Planner(
         rollouts=config.rollouts,
         update=config.update,
@@ -167,25 +176,5 @@ def planner_of(config: Planning) -> Planner:
         stuck_change=config.stuck_change,
         stuck_excess=config.stuck_excess,
         random_winner=config.random_winner,
-        cost=Cost(variant=config.cost, **_weights(config.cost_weights)),
+        cost=Cost(variant=config.cost, **weights),
     )
-
-
-def _weights(texts: Sequence[str]) -> dict[str, Any]:
-    """Parse NAME=VALUE of fields of `Cost`; a value is a number, or two with a comma between."""
-    fields = {field.name: field.default for field in dataclasses.fields(Cost)}
-    del fields["variant"]
-    weights: dict[str, Any] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        check_choice("cost_weights", name, list(fields))
-        try:
-            numbers = [float(word) for word in value.split(",")]
-        except ValueError:
-            numbers = []
-        pair = isinstance(fields[name], tuple)
-        if not equals or name in weights or len(numbers) != (2 if pair else 1):
-            form = "LOW,HIGH" if pair else "NUMBER"
-            raise BadInput(f"cost_weights: expected {name}={form} once, got {short_repr(text)}")
-        weights[name] = tuple(numbers) if pair else numbers[0]
-    return weights

@@ -10,7 +10,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet.config import CLOCK_OPTIONS, ClockSeconds, FleetConfig, Gain
 from pgf_jax.fleet.policies import after, check_ask
 from pgf_jax.guidance.operators.registry import check_operator
-from pgf_jax.physics.config import PhysicsName
+from pgf_jax.physics.config import PhysicsName, physics_of
 from pgf_jax.physics.engine import check_engine
 from pgf_jax.planning.config import (
     PLANNER_OPTIONS,
@@ -37,6 +37,8 @@ class PlanConfig:
         in C), or a registered one.
       physics: physics constants: default, or paper (its time step, and the softness of the authors'
         contacts).
+      physics_constants: physics constants that are to be others than those, as in mass=1.2
+        object_friction=0.4; the names are the fields of Physics.
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
       cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
         in w_d=2000 feasible_cost=10; the names are the fields of Cost.
@@ -97,6 +99,7 @@ class PlanConfig:
     stuck_change: NotNegative = 50.0
     stuck_excess: NotNegative = 1000.0
     cost_weights: tuple[str, ...] = ()
+    physics_constants: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -105,6 +108,7 @@ class PlanConfig:
         check_ask(self.ask)
         self.fleet(0)
         planner_of(self)
+        physics_of(self.physics, self.physics_constants)
 
     @property
     def policy(self) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.records import State
 from pgf_jax.physics import hand
-from pgf_jax.physics.config import PHYSICS
+from pgf_jax.physics.config import Physics, physics_of
 from pgf_jax.physics.engine import Engine, World, make_engine
 from pgf_jax.planning.planner import RETREAT_M, RETREAT_S, start_world
 from pgf_jax.planning.types import Push
@@ -38,13 +38,8 @@ class Motion:
     """
 
     def __init__(self, plan: Plan) -> None:
-        if plan.physics not in PHYSICS:
-            raise BadInput(
-                f"plan {plan.scene.name}: expected physics of {', '.join(PHYSICS)}, "
-                f"got {plan.physics!r}"
-            )
         engine = make_engine(
-            plan.engine, physics=PHYSICS[plan.physics], n_objects=len(plan.scene.objects), lanes=1
+            plan.engine, physics=_physics(plan), n_objects=len(plan.scene.objects), lanes=1
         )
         self.plan = plan
         self._knots: list[np.ndarray] = []  # of each segment, [T + 1, 3] hand poses
@@ -139,6 +134,15 @@ class Motion:
             return 0
         # Where the steps do not meet the end, one more snapshot shows it.
         return math.ceil((stop_s - start_s) / step_s - 1e-9) + 1
+
+
+def _physics(plan: Plan) -> Physics:
+    """The physics that a plan was made in."""
+    constants = plan.settings.get("physics_constants", ())
+    try:
+        return physics_of(plan.physics, [str(text) for text in constants])
+    except (BadInput, TypeError) as error:
+        raise BadInput(f"plan {plan.scene.name}: {error}") from None
 
 
 _Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # times, objects, hand, gripper

@@ -13,6 +13,7 @@ from pgf_jax.fleet import Fleet, FleetConfig
 from pgf_jax.guidance.operators.base import AnyOperator
 from pgf_jax.guidance.operators.registry import make_operator
 from pgf_jax.guidance.predictors.true_gain import TrueGain
+from pgf_jax.physics.config import Physics
 from pgf_jax.planning.config import Planner
 from pgf_jax.scene import Scene, sample_scene
 from pgf_jax.scene.sampling import OBJECTS, PRESETS
@@ -91,7 +92,7 @@ class FleetSpec:
     Attributes:
       config: sizes, policy, operators and times.
       engine: name of the physics engine.
-      physics: name of its constants.
+      physics: its constants.
       planner: settings of the planner.
       lanes: L.
       scenes: of its tasks.
@@ -102,7 +103,7 @@ class FleetSpec:
 
     config: FleetConfig
     engine: str
-    physics: str
+    physics: Physics
     planner: Planner
     lanes: int
     scenes: TaskScenes
@@ -111,7 +112,7 @@ class FleetSpec:
     recording: Recording | None = None
 
     @functools.cached_property
-    def compile_key(self) -> tuple[str, str, Planner, int, int]:
+    def compile_key(self) -> tuple[str, Physics, Planner, int, int]:
         """What its compiled programs depend on: engine, physics, planner, lanes, N."""
         return self.engine, self.physics, self.planner, self.lanes, self.scenes.n_objects
 

@@ -10,7 +10,7 @@ from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.compute import parse_compute
 from pgf_jax.fleet.config import CLOCK_OPTIONS, Cell, ClockSeconds, FleetConfig, Gain
 from pgf_jax.fleet.policies import check_policy
-from pgf_jax.physics.config import PhysicsName
+from pgf_jax.physics.config import Physics, PhysicsName, physics_of
 from pgf_jax.physics.engine import check_engine, default_lanes, default_processes
 from pgf_jax.planning.config import (
     PLANNER_OPTIONS,
@@ -34,12 +34,6 @@ SampledClass = Literal[SceneClass, "all"]  # all: the three in turn
 HOW = ("preset", "workers", "scheduler", "out", "resume", "json")
 # Fields that say where a sweep's inputs lie; the inputs' content decides on results.
 INPUTS = ("scenes", "predictor", "log")
-# Fields that were added later: stored results lack them, and were made with their defaults.
-ADDED = (
-    *("seeds", "bid_threshold", "task_limit", "push_limit"),
-    *("push_execution", "retreat", "reach_execution", "rollouts", "sigma", "stomp_h"),
-    *("stuck_count", "stuck_change", "stuck_excess", "cost_weights"),
-)
 SCENES = "scenes.json"  # in the folder of the results: the scenes that were given as objects
 # Policies that need no network that predicts a gain.
 GAINLESS = frozenset(
@@ -82,6 +76,7 @@ PRESETS = {
     # The paper's figure 6: 100 tasks of one robot, 50 each of 10, 20 and 30.
     "paper": Preset((1, 10, 20, 30), ("pgf", "or-hitl"), lambda robots: 100 if robots == 1 else 50),
 }
+_SERVICE = ("service_mean", "service_sd", "context_switch")
 _SIZES = ("robots", "policies", "tasks", "scene_class")
 
 
@@ -112,6 +107,8 @@ class SweepConfig:
         in C), or a registered one.
       physics: physics constants: default, or paper (its time step, and the softness of the authors'
         contacts).
+      physics_constants: physics constants that are to be others than those, as in mass=1.2
+        object_friction=0.4; the names are the fields of Physics.
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
       cost_weights: weights and thresholds of the cost that are to be others than the variant's, as
         in w_d=2000 feasible_cost=10; the names are the fields of Cost.
@@ -212,23 +209,13 @@ class SweepConfig:
     stuck_change: NotNegative = 50.0
     stuck_excess: NotNegative = 1000.0
     cost_weights: tuple[str, ...] = ()
+    physics_constants: tuple[str, ...] = ()
 
     GROUPS = (  # of options, for the help
         ("fleet", ("preset", "robots", "policies", "tasks", "seed", "seeds")),
         ("scene", ("scene_class", "scenes")),
         ("planning", PLANNER_OPTIONS),
-        (
-            "operator",
-            (
-                "operator",
-                "log",
-                "operators",
-                "predictor",
-                "service_mean",
-                "service_sd",
-                "context_switch",
-            ),
-        ),
+        ("operator", ("operator", "log", "operators", "predictor", *_SERVICE)),
         ("clock", ("window", "bid_threshold", *CLOCK_OPTIONS, "compute", "horizon")),
         ("computing", ("workers", "scheduler")),
         ("output", ("out", "resume", "json")),
@@ -261,6 +248,7 @@ class SweepConfig:
         if self.log is not None and self.seeds is not None:
             raise BadInput("seeds: a recorded session has one of its own; leave them out")
         self.planner()
+        self.physics_values()
         for cell in self.cells():
             self.fleet(cell)
 
@@ -374,6 +362,10 @@ class SweepConfig:
         """The planner's settings."""
         return planner_of(self)
 
+    def physics_values(self) -> Physics:
+        """The physics constants."""
+        return physics_of(self.physics, self.physics_constants)
+
     def sampled_class(self) -> str | None:
         """The class of the sampled scenes; None where they come from files."""
         return None if self.scenes is not None else self.scene_class or DEFAULT.scene_class
@@ -393,3 +385,8 @@ class SweepConfig:
 
 def _words(value: object) -> str:
     return " ".join(map(str, value)) if isinstance(value, tuple | list) else str(value)
+
+
+_NAMES = [field.name for field in dataclasses.fields(SweepConfig)]
+# Fields that were added later: stored results lack them, and were made with their defaults.
+ADDED = _NAMES[_NAMES.index("json") + 1 :]

@@ -13,7 +13,6 @@ from typing import Any
 
 from pgf_jax.files import sha256
 from pgf_jax.fleet.config import Cell
-from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import MAX_CONTACTS
 from pgf_jax.plugins.registry import plugins_record
 from pgf_jax.provenance import environment, host
@@ -71,7 +70,7 @@ def manifest(
       files: the merged results, by name.
     """
     config = sweep.config
-    physics = PHYSICS[config.physics]
+    physics = config.physics_values()
     return {
         "format": FORMAT,
         "config": settings(config),

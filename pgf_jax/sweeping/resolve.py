@@ -18,7 +18,6 @@ from pgf_jax.guidance.operators.registry import OPERATORS, check_operator, world
 from pgf_jax.guidance.predictors.checkpoint import PAIR, checkpoint_name, shipped_checkpoints
 from pgf_jax.guidance.predictors.registry import NETWORKS, PredictorSpec, predictor_spec
 from pgf_jax.guidance.predictors.true_gain import TrueGain
-from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import ENGINES
 from pgf_jax.planning.config import PLANNER_REVISION
 from pgf_jax.plugins.registry import Plugin, plugins_record
@@ -122,7 +121,7 @@ def resolve(config: SweepConfig, loaded: Loaded | None = None, *, number: int = 
         fleet = FleetSpec(
             config=config.fleet(cell),
             engine=config.engine,
-            physics=config.physics,
+            physics=config.physics_values(),
             planner=config.planner(),
             lanes=config.engine_lanes(),
             scenes=task_scenes(config, scene_files, seed=cell.seed),
@@ -271,7 +270,7 @@ def _identity(
         "fleet": dataclasses.asdict(fleet.config),
         "engine": fleet.engine,
         "lanes": fleet.lanes,
-        "physics": dataclasses.asdict(PHYSICS[fleet.physics]),
+        "physics": dataclasses.asdict(fleet.physics),
         "planner": dataclasses.asdict(fleet.planner),
         "scene_class": fleet.scenes.scene_class,
         "scenes": fleet.scenes.digest,

@@ -18,6 +18,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Fleet, FleetConfig, Work, WorkKind
 from pgf_jax.guidance.predictors.features import STATE
 from pgf_jax.guidance.predictors.true_gain import TrueGain
+from pgf_jax.physics.config import Physics
 from pgf_jax.planning.config import Planner
 from pgf_jax.planning.types import Push
 from pgf_jax.scene import load_scene, sample_scene
@@ -59,7 +60,7 @@ class Shared:
 
     def __init__(self, configs: Sequence[FleetConfig], predictors: Sequence[Any] = ()) -> None:
         self.planner_service, self.operator = (
-            make_planner_service("ghost", "default", Planner(), 4, 20),
+            make_planner_service("ghost", Physics(), Planner(), 4, 20),
             Watched(),
         )
         self.steps: list[tuple] = []
@@ -150,7 +151,7 @@ class Counts:
 
 def test_what_an_operator_says_the_second_time_is_another_thing():
     """Even where nothing has happened since, as when it says "go on" before planning."""
-    on, said = make_planner_service("ghost", "default", Planner(), 4, 20), []
+    on, said = make_planner_service("ghost", Physics(), Planner(), 4, 20), []
     search_cache = SearchCache(on, scenes=scene, operator=Counts(), seed=0)
     all_robots, scheduler = [PlannedRobots(search_cache) for _ in range(3)], BatchScheduler(on)
     for planned, times in zip(all_robots, (1, 2, 1), strict=True):
@@ -234,7 +235,7 @@ def test_a_fleet_that_begins_later_finds_what_others_left_for_it():
 def test_a_scene_of_another_number_of_objects_is_named(tmp_path):
     path = tmp_path / "shelf.xml"
     write_scene(path, n_objects=4)
-    on = make_planner_service("ghost", "default", Planner(), 4, 20)
+    on = make_planner_service("ghost", Physics(), Planner(), 4, 20)
     search_cache = SearchCache(on, scenes=lambda *_: load_scene(path), operator=Nudge(), seed=0)
     planned = PlannedRobots(search_cache)
     message = "scene shelf: has 4 objects, the engine simulates 20"

@@ -11,6 +11,7 @@ from pgf_jax.collection.config import CollectConfig
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.config import Cell, FleetConfig
 from pgf_jax.fleet.policies import policy_names
+from pgf_jax.physics.config import PHYSICS
 from pgf_jax.planning.config import Cost, Planner, planner_of
 from pgf_jax.plans.config import PlanConfig
 from pgf_jax.sweeping.config import HOW, INPUTS, SweepConfig
@@ -106,6 +107,8 @@ def test_every_setting_of_the_fleet_and_the_planner_can_be_reached():
         stuck_count=3,
         cost_weights=("w_d=2000", "edge_x=0.1,0.5"),
     )
+    physics = SweepConfig(physics="paper", physics_constants=("mass=1.2", "substeps=100"))
+    assert physics.physics_values() == dataclasses.replace(PHYSICS["paper"], mass=1.2, substeps=100)
     cost = Cost(w_d=2000.0, edge_x=(0.1, 0.5))
     assert given.planner() == Planner(4, sigma=(0.1, 0.2, 0.3), stuck_count=3, cost=cost)
 
@@ -204,6 +207,9 @@ def test_a_random_winner_reaches_the_planner():
         ({"seeds": (1, 2), "seed": 3}, "seed: expected none beside seeds, got 3"),
         ({"sigma": (0.1, 0.1)}, r"sigma: expected three numbers \(x, y, turn\), got"),
         ({"sigma": (0.1, 0.1, -1)}, "sigma: expected a number 0 or more, got -1"),
+        ({"physics_constants": ("mass=0",)}, "mass: expected a number above 0, got 0.0"),
+        ({"physics_constants": ("substeps=1.5",)}, "physics_constants: expected substeps=NUMBER"),
+        ({"physics_constants": ("knots=9",)}, "physics_constants: expected one of substeps, .*"),
         ({"cost_weights": ("w_d",)}, "cost_weights: expected w_d=NUMBER once, got 'w_d'"),
         ({"cost_weights": ("w_x=1",)}, "cost_weights: expected one of w_d, .*, got 'w_x'"),
         ({"cost_weights": ("w_d=1", "w_d=2")}, "cost_weights: expected w_d=NUMBER once"),
