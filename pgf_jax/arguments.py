@@ -6,6 +6,7 @@ a box of the help, and with shorter names of their types.
 
 import contextlib
 import dataclasses
+import functools
 import inspect
 import io
 import os
@@ -208,6 +209,7 @@ def _description(config: type) -> str:
     )
 
 
+@functools.cache
 def _grouped(config: type) -> type:
     """The dataclass that tyro parses: the options of `config`, in groups.
 

@@ -362,7 +362,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("outside", [True, False])
+@pytest.mark.parametrize("outside", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_the_main_script_may_register_with_several_workers(tmp_path, outside):
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(outside=outside))
