@@ -18,6 +18,7 @@ import polars as pl
 
 from pgf_jax.errors import BadInput
 from pgf_jax.files import json_bytes, read_file, read_json, sha256, write_atomically
+from pgf_jax.sweeping.config import SCENES
 from pgf_jax.tables import results
 from pgf_jax.tables.parquet import LARGEST, decode_table, encode_table, provenance
 from pgf_jax.tables.results import EVENT_SCHEMA, TASK_SCHEMA
@@ -112,11 +113,18 @@ def read_account(file: Path) -> dict[str, Any]:
 def inputs(file: Path) -> dict[str, Any]:
     """Where a cell's inputs were when it was computed (see `INPUTS`); empty if unknown.
 
+    Scenes that were saved beside the results are where the results are now.
+
     Raises:
       BadInput: the file beside it is corrupt.
     """
     found = read_account(file).get("inputs") if sidecar(file).exists() else None
-    return found if isinstance(found, dict) else {}
+    if not isinstance(found, dict):
+        return {}
+    saved = file.parent.parent / SCENES
+    if saved.is_file() and Path(str(found.get("scenes"))).name == SCENES:
+        return found | {"scenes": str(saved)}
+    return found
 
 
 def check(file: Path) -> bytes:

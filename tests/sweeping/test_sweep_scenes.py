@@ -36,7 +36,9 @@ def test_scenes_given_as_objects_are_swept_and_saved(tmp_path):
     )
     assert [p.name for p in again.files.values()] == [p.name for p in result.files.values()]
     assert sweep(dataclasses.replace(config, resume=True), quiet=True).computed == ()
-    assert verify(VerifyConfig(config.out, cells=9), quiet=True).ok
+    moved = config.out.rename(tmp_path / "moved")
+    checked = verify(VerifyConfig(moved, cells=9), quiet=True)
+    assert checked.ok and all(cell.same for cell in checked.recomputed)
 
 
 def test_other_scenes_are_another_sweep(tmp_path):
