@@ -268,7 +268,7 @@ def _remade(
             seed = listed.get("seed", manifest.get("seed"))  # earlier versions had one for all
             cell = Cell(listed["policy"], listed["robots"], listed["tasks"], seed)
             tables[cell] = sound[out / listed["file"]]
-        records = {cell: results.task_records(content.tasks) for cell, content in tables.items()}
+        records = {cell: content.records for cell, content in tables.items()}
         summaries = [*map(summary_of, tables.values())]
         merged = {name: columns.merged(tables.values(), name) for name in cell_file.TABLES}
     except (BadInput, KeyError, TypeError, ZeroDivisionError, pl.exceptions.PolarsError):

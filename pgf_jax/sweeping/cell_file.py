@@ -8,6 +8,7 @@ first.
 """
 
 import dataclasses
+import functools
 import json
 import re
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ import polars as pl
 
 from pgf_jax.errors import BadInput
 from pgf_jax.files import json_bytes, read_file, read_json, sha256, write_atomically
+from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.sweeping.config import SCENES
 from pgf_jax.tables import results
 from pgf_jax.tables.parquet import LARGEST, decode_table, encode_table, provenance
@@ -40,6 +42,11 @@ class Content:
     tasks: pl.DataFrame
     events: pl.DataFrame
     about: Mapping[str, Any]
+
+    @functools.cached_property
+    def records(self) -> list[TaskRecord]:
+        """The task records of the table of tasks."""
+        return results.task_records(self.tasks)
 
     def data(self) -> bytes:
         """The bytes of the file; the same content gives the same bytes."""

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import polars as pl
 
+from pgf_jax.fleet.config import Cell
 from pgf_jax.guidance.predictors.registry import NETWORKS
 from pgf_jax.sweeping.cell_file import Content
 from pgf_jax.sweeping.config import HOW, INPUTS, SweepConfig
@@ -71,19 +72,17 @@ def labelled(frame: pl.DataFrame, about: Mapping[str, Any]) -> pl.DataFrame:
     """
     identity, config = about["identity"], about["config"]
     fleet = identity["fleet"]
-    values = {"policy": fleet["policy"], "robots": fleet["robots"]}
+    cell = Cell(fleet["policy"], fleet["robots"], fleet["tasks"], fleet["seed"])
     # A setting that a stored cell lacks has the value that was built in then.
     defaults = {field.name: field.default for field in dataclasses.fields(SweepConfig)}
     settings = {
         column: config.get(name, defaults[name]) for name, column in _COLUMNS.items()
     } | _of_inputs(identity)
-    first = [pl.lit(values["policy"], pl.String()).alias("policy")]
-    first.append(pl.lit(values["robots"], pl.Int64()).alias("robots"))
     if "execution_s" in frame.columns:
         whole_ns = pl.col("end_ns") - pl.col("start_ns")
         frame = frame.with_columns(task_time_s=whole_ns / 1e9 - pl.col("execution_s"))
     rest = [_constant(settings[name], dtype, name) for name, dtype in SETTING_SCHEMA.items()]
-    return frame.select(*first, pl.all(), *rest)
+    return results.merge([(cell, frame)]).with_columns(rest)
 
 
 def _constant(value: Any, dtype: pl.DataType, name: str) -> pl.Expr:

@@ -41,7 +41,7 @@ def summary_of(content: Content) -> CellSummary:
     fleet = content.about["identity"]["fleet"]
     return summarise(
         _Fleet(*(fleet[name] for name in _Fleet._fields)),
-        results.task_records(content.tasks),
+        content.records,
         results.event_log(content.events),
     )
 

@@ -269,9 +269,7 @@ def _write_results(store: CellStore) -> SweepResult:
     sweep, config = store.sweep, store.sweep.config
     tables = store.read_all()
     summaries = [summary_of(content) for content in tables.values()]
-    paired = paired_differences(
-        {cell: results.task_records(content.tasks) for cell, content in tables.items()}
-    )
+    paired = paired_differences({cell: content.records for cell, content in tables.items()})
     merged = merged_files(sweep, tables, summaries, paired)
     for name, data in merged.items():
         write_atomically(config.out / name, data)

@@ -11,7 +11,6 @@ from pgf_jax.cli import main
 from pgf_jax.errors import BadInput
 from pgf_jax.render.fleet_view import draw_one
 from pgf_jax.render.top import TopView
-from pgf_jax.sweeping import cell_file
 from pgf_jax.sweeping.stored_fleet import CellChoice, StoredFleet, snapshots
 from pgf_jax.sweeping.sweep import sweep
 
@@ -55,19 +54,12 @@ def test_a_time_after_the_end_is_refused(stored, tmp_path, capsys):
 
 
 def test_a_fleet_that_goes_another_way_is_refused(stored):
-    file = next(
-        path for cell, path in stored.files.items() if (cell.policy, cell.robots) == ("eager", 1)
-    )
-    content = cell_file.read(file)
-    choice = CellChoice("eager", 1)
-    fleet = StoredFleet(stored.out, choice)
+    fleet = StoredFleet(stored.out, CellChoice("eager", 1))
     fleet.runner.run_until()
     fleet.check()
-    edited = dataclasses.replace(content, events=content.events[:-1])
     fleet._events = fleet._events[:-1]
     with pytest.raises(BadInput, match=r"goes another way here from event \d+ on"):
         fleet.check()
-    assert len(edited.events) == len(fleet._events)
 
 
 def test_bids_grants_and_inputs_are_seen_when_they_happen(stored):

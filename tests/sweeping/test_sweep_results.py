@@ -319,8 +319,11 @@ def test_summary_table_fits_a_terminal():
     # Solved in 3 and 6 s; the third task fails at the limit.
     assert row.split()[2:5] == ["1", "3", "0.67"]
     assert "one fleet: no interval (--seeds 0 1 2 makes several)" in text
-    solved = [cell for cell in summaries() if cell.success.mean == 1.0]
-    console.print(summary_tables(solved or [summary(planning=1.0, success=1.0)]))
+    assert "all tasks solved" not in text
+    solved = dataclasses.replace(summary(planning=1.0, success=1.0), solved=3, tasks=3)
+    console.print(summary_tables([solved]))
+    more = file.getvalue().removeprefix(text)
+    assert "all tasks solved" in more and "success" not in more
 
 
 def spec(sweep: int, *sizes) -> CellSpec:
