@@ -30,8 +30,11 @@ class Constants(NamedTuple):
     friction_weight: float  # D of joint friction, kg
     friction_loss: float  # N
     capsule_radii: np.ndarray  # [C] m
-    ground_friction: np.ndarray  # [G] mu of hand and walls against an object
-    ground_weight: np.ndarray  # [G] D of a pyramid edge, kg
+    capsule_lengths: np.ndarray  # [C] of their axes, m
+    hand_friction: float  # mu of the hand against an object
+    hand_weight: float  # D of a pyramid edge, kg
+    wall_friction: tuple[float, float]  # of the back wall and of the side walls
+    wall_weight: tuple[float, float]
     pair_friction: float
     pair_weight: float
 
@@ -97,8 +100,12 @@ def read(physics: Physics, n_objects: int) -> Constants:
         friction_weight=friction_impedance / (1 - friction_impedance) / dof_weight,
         friction_loss=one("frictionloss", m.dof_frictionloss[dofs]),
         capsule_radii=m.geom_size[capsules, 0].copy(),
-        ground_friction=frictions,
-        ground_weight=weights,
+        capsule_lengths=2 * m.geom_size[capsules, 1],
+        hand_friction=one("hand friction", frictions[:-N_WALLS]),
+        # The bodies of the kinematic hand differ in the seventh digit.
+        hand_weight=float(weights[0]),
+        wall_friction=(float(frictions[-2]), float(frictions[-1])),
+        wall_weight=(float(weights[-2]), float(weights[-1])),
         pair_friction=mu,
         pair_weight=edge_weight(2 * weight0, mu),
     )

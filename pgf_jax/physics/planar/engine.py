@@ -17,10 +17,12 @@ import numpy as np
 
 from pgf_jax.physics.config import Physics
 from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
-from pgf_jax.physics.planar import constants, motion, reach
+from pgf_jax.physics.planar import constants, contact, motion, reach
+from pgf_jax.physics.planar.contact import Hand
 from pgf_jax.physics.planar.motion import Motion, Objects
 
-SIZES = (4, 8, 12)  # A; then N
+# Classes: A objects that can move, H of them within the hand's reach; then all of N.
+SIZES = ((4, 4), (8, 6), (12, 8), (16, 10))
 CHUNK = 16  # lanes that go through a knot together
 SWEEP = 5  # poses along a knot, which bound the hand's sweep
 
@@ -32,6 +34,7 @@ class _State(NamedTuple):
     pose: jax.Array  # [3, B]
     knot: jax.Array  # [B] number of the next knot
     travel: jax.Array  # [N, B] `reach.travel` in it
+    depth: jax.Array  # [N, B] and how deep the hand gets into each object
     size: jax.Array  # [B] class: 0 nothing moves, k the k-th size; -1: done, or not wanted
     out: tuple[jax.Array, ...]  # Rollout's arrays but for the velocities
     work: jax.Array  # [2] lanes of the chunks that were computed; those of them that were used
@@ -51,7 +54,7 @@ class PlanarEngine:
         iterations: int = 3,
         cg_iterations: int = 4,
         chunk: int = CHUNK,
-        sizes: tuple[int, ...] = SIZES,
+        sizes: tuple[tuple[int, int], ...] = SIZES,
     ) -> None:
         self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
         self.iterations, self.cg_iterations = iterations, cg_iterations
@@ -59,7 +62,7 @@ class PlanarEngine:
         self._shape = motion.fit_shape(physics)
         self._work = np.zeros(2, np.int64)
         self._chunk = chunk
-        self._sizes = (*(a for a in sizes if a < n_objects), n_objects)
+        self._sizes = (*(s for s in sizes if s[0] < n_objects), (n_objects, n_objects))
         # XLA's default, 256 bits, halves the speed where there are wider registers; a processor
         # without them ignores the option.
         options = {"xla_cpu_prefer_vector_width": 512} if jax.default_backend() == "cpu" else None
@@ -100,14 +103,14 @@ class PlanarEngine:
             )
 
         def next_size(objects: Objects, pose, knot, lane):
-            hand = self._hand(motion_in(knot, lane, pose), substeps)
-            sweep = jax.lax.map(hand, jnp.arange(SWEEP) * (substeps / (SWEEP - 1)))
-            far = reach.travel(self._constants, *objects[:4], sweep)
-            return far, jnp.where(knot < t, size_of(far), -1)
+            now = motion_in(knot, lane, pose)
+            far, depth = reach.travel(self._constants, *objects[:4], self._sweep(now, substeps))
+            return far, depth, jnp.where(knot < t, size_of(far, depth), -1)
 
-        def size_of(far):
-            moving = (~(far <= 0)).sum(0)
-            return (moving[None] > jnp.array((0, *self._sizes))[:, None]).sum(0)
+        def size_of(far, depth):
+            moving, near = (v.sum(0) for v in reach.taking_part(far, depth))
+            most_moving, most_near = np.array([(0, 0), *self._sizes]).T[..., None]
+            return ((moving > most_moving) | (near > most_near)).sum(0)
 
         zero = jnp.zeros((n, b))
         objects = Objects(
@@ -123,6 +126,7 @@ class PlanarEngine:
             start.hand.T,
             # Each lane begins with a knot -1 in which nothing moves: it finds the class of knot 0.
             jnp.full(b, -1, jnp.int32),
+            zero,
             zero,
             jnp.where(wanted, 0, -1),
             (
@@ -146,10 +150,13 @@ class PlanarEngine:
             )
             got = jnp.minimum(lane, b - 1)
             before = jax.tree.map(lambda a: a[:, got], state.objects)
-            far, pose, knot = state.travel[:, got], state.pose[:, got], state.knot[got]
+            far, depth = state.travel[:, got], state.depth[:, got]
+            pose, knot = state.pose[:, got], state.knot[got]
             now = motion_in(knot, got, pose)
-            branches = [self._stand, *(functools.partial(self._advance, a) for a in self._sizes)]
-            after, more, force, bodies = jax.lax.switch(kind, branches, substeps, before, far, now)
+            branches = [self._stand, *(functools.partial(self._advance, *s) for s in self._sizes)]
+            after, more, force, bodies = jax.lax.switch(
+                kind, branches, substeps, before, far, depth, now
+            )
             after = jax.tree.map(lambda a, v: jnp.where(knot < 0, v, a), after, before)
 
             # A lane in which another object was touched does the knot again, with that object.
@@ -163,13 +170,15 @@ class PlanarEngine:
             out = tuple(
                 a.at[ends, knot].set(v, mode="drop") for a, v in zip(state.out, values, strict=True)
             )
-            far, size = next_size(after, pose, knot + 1, got)
-            far, size = jnp.where(fine, far, again), jnp.where(fine, size, size_of(again))
+            next_far, next_depth, size = next_size(after, pose, knot + 1, got)
+            far, depth = jnp.where(fine, next_far, again), jnp.where(fine, next_depth, depth)
+            size = jnp.where(fine, size, size_of(far, depth))
             return _State(
                 jax.tree.map(lambda a, v: a.at[:, where].set(v, mode="drop"), state.objects, after),
                 state.pose.at[:, where].set(pose, mode="drop"),
                 state.knot.at[where].add(1, mode="drop"),
                 state.travel.at[:, lane].set(far, mode="drop"),
+                state.depth.at[:, lane].set(depth, mode="drop"),
                 state.size.at[lane].set(size, mode="drop"),
                 out,
                 state.work + (kind > 0) * jnp.stack([chunk, (fine & (lane < b)).sum()]),
@@ -180,10 +189,17 @@ class PlanarEngine:
         velocities = jnp.stack([state.objects.vx, state.objects.vy], -1).swapaxes(0, 1)
         return Rollout(objects, hands, velocities, force, bodies), state.work
 
-    def _hand(self, now: Motion, substeps: jax.Array):
-        return lambda done: motion.hand_at(self.physics, self._shape, now, done, substeps)
+    def _sweep(self, now: Motion, substeps: jax.Array) -> Hand:
+        """The hand at `SWEEP` poses along a knot, first and last included: [P, G, C] each."""
 
-    def _stand(self, substeps, objects: Objects, far, now):
+        def at(done):
+            turn = motion.turn_at(self.physics, now, done)
+            one = jnp.minimum(substeps, 1)
+            return motion.hand_at(self.physics, self._shape, now, done, substeps, turn, one)
+
+        return jax.lax.map(at, jnp.arange(SWEEP) * (substeps / (SWEEP - 1)))
+
+    def _stand(self, substeps, objects: Objects, far, depth, now):
         """Do a knot in which no object can move."""
         c = far.shape[1]
         zero = jnp.zeros_like(objects.vx)
@@ -192,46 +208,54 @@ class PlanarEngine:
         no_bodies = jnp.zeros((c, MAX_CONTACTS, 2), jnp.int32)
         return still, jnp.zeros_like(far), no_force, no_bodies
 
-    def _advance(self, a: int, substeps, objects: Objects, far, now):
-        """Do a knot with the `a` objects that may move furthest.
+    def _advance(self, a: int, h: int, substeps, objects: Objects, far, depth, now):
+        """Do a knot with the `a` objects that may move furthest, `h` of them near the hand.
 
         Returns:
-          All objects after the knot; [N, C] how deep the other objects may have been touched
-          (m, 0: not); the strongest contacts.
+          All objects after the knot; [N, C] how far the objects get that were left out of
+          something which they may have touched (m, 0: none was); the strongest contacts.
         """
-        order = jnp.argsort(-far, axis=0, stable=True)
+        order = reach.order(far, depth)
         mine, others = order[:a], order[a:]
         part = jax.tree.map(lambda v: jnp.take_along_axis(v, mine, 0), objects)
         moved, most, force = motion.knot(
             self._constants,
-            self._hand(now, substeps),
+            self.physics,
+            self._shape,
+            now,
             substeps,
             part,
+            h,
             self.iterations,
             self.cg_iterations,
         )
+        way = jnp.sqrt(most)
         rest = (jnp.take_along_axis(v, others, 0) for v in (objects.x, objects.y))
-        touched = reach.touched(self._constants, part.x, part.y, jnp.sqrt(most), *rest)
+        touched = reach.touched(self._constants, part.x, part.y, way, *rest)
+        # Those that were thought to stay out of the hand's reach.
+        away = way[h:]
+        reached = jnp.where(jnp.take_along_axis(depth, mine[h:], 0) + away > 0, away, 0.0)
         still = jax.tree.map(jnp.zeros_like, objects)._replace(x=objects.x, y=objects.y)
         lane = jnp.arange(far.shape[1])
         after = jax.tree.map(lambda v, m: v.at[mine, lane].set(m), still, moved)
-        more = jnp.zeros_like(far).at[others, lane].set(touched)
+        more = jnp.zeros_like(far).at[others, lane].set(touched).at[mine[h:], lane].set(reached)
         return after, more, *self._strongest(force, mine)
 
-    def _strongest(self, force: tuple[jax.Array, jax.Array], mine: jax.Array):
+    def _strongest(self, force: tuple[jax.Array, jax.Array, jax.Array], mine: jax.Array):
         """The strongest contacts of each lane: [C, slots] N and [C, slots, 2] bodies."""
-        ground, pairs = force  # [G, A, C], [A, A, C]
-        (g, a, c), n = ground.shape, self.n_objects
-        first, second = np.triu_indices(a, 1)
-        flat = jnp.concatenate([ground.reshape(g * a, c), pairs[first, second]]).T  # [C, M]
-        ground_code = np.where(np.arange(g) < g - constants.N_WALLS, n, n + 1)
-        one = jnp.concatenate([jnp.tile(mine, (g, 1)), mine[first]]).T
-        other = jnp.concatenate(
-            [jnp.broadcast_to(np.repeat(ground_code, a)[:, None], (g * a, c)), mine[second]]
-        ).T
+        by_hand, by_walls, by_pairs = force  # [G, H, C], [2, A, C], [T, C]
+        (g, h, c), a, n = by_hand.shape, len(mine), self.n_objects
+        first, second = contact.pairs(a)
+        flat = jnp.concatenate(
+            [by_hand.reshape(g * h, c), by_walls.reshape(-1, c), by_pairs]
+        ).T  # [C, M]
+        walls = len(by_walls)
+        one = jnp.concatenate([jnp.tile(mine[:h], (g, 1)), jnp.tile(mine, (walls, 1)), mine[first]])
+        ground = np.repeat([n, n + 1], [g * h, walls * a])[:, None]
+        other = jnp.concatenate([jnp.broadcast_to(ground, (len(ground), c)), mine[second]])
         slots = min(MAX_CONTACTS, flat.shape[1])
         strongest, which = jax.lax.top_k(flat, slots)
-        bodies = jnp.stack([jnp.take_along_axis(v, which, 1) for v in (one, other)], -1)
+        bodies = jnp.stack([jnp.take_along_axis(v.T, which, 1) for v in (one, other)], -1)
         bodies = jnp.where((strongest > 0)[..., None], bodies, 0).astype(jnp.int32)
         spare = MAX_CONTACTS - slots
         return jnp.pad(strongest, ((0, 0), (0, spare))), jnp.pad(

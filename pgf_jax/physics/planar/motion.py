@@ -1,6 +1,5 @@
 """Motion of the hand during a knot, and the knot's substeps for the objects that take part."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -12,6 +11,7 @@ from pgf_jax.physics.config import Physics
 from pgf_jax.physics.planar import contact
 from pgf_jax.physics.planar.constants import Constants
 from pgf_jax.physics.planar.contact import Hand, Problem
+from pgf_jax.physics.planar.fusion import written_out
 from pgf_jax.physics.planar.solver import solve
 
 
@@ -39,8 +39,8 @@ class Shape(NamedTuple):
 
     segments: np.ndarray  # [DEGREE + 1, 2, 2, H] coefficients of start/end, x/y in g / 127.5 - 1
     creep_knots: np.ndarray  # [8] gripper values at which the creep's slope changes
-    creep_at_0: np.ndarray  # [3, 2] (vx, vy, wz) of both fingers at gripper 0
-    creep_bends: np.ndarray  # [8, 3, 2] how much the slope changes there
+    creep_at_0: np.ndarray  # [3, bodies] (vx, vy, wz) of palm (0) and fingers at gripper 0
+    creep_bends: np.ndarray  # [8, 3, bodies] how much the slope changes there
 
 
 DEGREE = 5  # of the polynomials: within 1e-8 m of the links' rotations
@@ -61,29 +61,46 @@ def fit_shape(physics: Physics) -> Shape:
     return Shape(
         coefficients.reshape(-1, hand.N_CAPSULES, 2, 2).transpose(0, 2, 3, 1),
         knots[:-1],
-        table[0].reshape(2, 3).T,
-        bends.reshape(-1, 2, 3).swapaxes(1, 2),
+        np.pad(table[0].reshape(2, 3), ((1, 0), (0, 0))).T,
+        np.pad(bends.reshape(-1, 2, 3), ((0, 0), (1, 0), (0, 0))).swapaxes(1, 2),
     )
 
 
-def hand_at(physics: Physics, shape: Shape, motion: Motion, done, substeps) -> Hand:
-    """The hand's capsules when `done` of the knot's `substeps` are done."""
+class Turn(NamedTuple):
+    """Cosine and sine of the hand's yaw, [C] each."""
+
+    cos: jax.Array
+    sin: jax.Array
+
+
+def hand_at(
+    physics: Physics, shape: Shape, motion: Motion, done, substeps, turn: Turn, one: jax.Array
+) -> Hand:
+    """The hand's capsules when `done` of the knot's `substeps` are done.
+
+    `turn` is the hand's then; `one` is 1, see `written_out`.
+    """
     before, after = motion.gripper
     gripper = before + (after - before) * (done / substeps)  # [C]
     elapsed = done * physics.substep_s
-    x, y, yaw = (motion.pose[i] + elapsed * motion.velocity[i] for i in range(3))
+    x, y, _ = motion.pose + elapsed * motion.velocity
     scaled = gripper * (2 / hand.GRIPPER_CLOSED) - 1
-    # Horner's rule; [2, 2, H, C] start/end, x/y.
-    terms = jnp.asarray(shape.segments, gripper.dtype)[..., None]
-    local = terms[-1] + jnp.zeros_like(scaled)
-    for term in terms[-2::-1]:
-        local = local * scaled + term
-    ramps = jnp.maximum(gripper - jnp.asarray(shape.creep_knots, gripper.dtype)[:, None], 0.0)
-    bends = jnp.asarray(shape.creep_bends, gripper.dtype)[..., None]  # [8, 3, 2, 1]
-    creep = jnp.asarray(shape.creep_at_0, gripper.dtype)[..., None]
-    for ramp, bend in zip(ramps, bends, strict=True):
-        creep = creep + ramp * bend  # [3, 2, C]
-    cos, sin = jnp.cos(yaw), jnp.sin(yaw)
+
+    def in_hand():
+        # Horner's rule; [2, 2, H, C] start/end, x/y.
+        terms = jnp.asarray(shape.segments, gripper.dtype)[..., None]
+        local = terms[-1] + jnp.zeros_like(scaled)
+        for term in terms[-2::-1]:
+            local = local * scaled + term
+        ramps = jnp.maximum(gripper - jnp.asarray(shape.creep_knots, gripper.dtype)[:, None], 0.0)
+        bends = jnp.asarray(shape.creep_bends, gripper.dtype)[..., None]  # [8, 3, bodies, 1]
+        creep = jnp.asarray(shape.creep_at_0, gripper.dtype)[..., None]
+        for ramp, bend in zip(ramps, bends, strict=True):
+            creep = creep + ramp * bend
+        return local, creep  # creep: [3, bodies, C]
+
+    local, creep = written_out(one, in_hand)
+    cos, sin = turn
 
     def turned(local_x, local_y):  # [..., C] each
         return cos * local_x - sin * local_y, sin * local_x + cos * local_y
@@ -91,30 +108,36 @@ def hand_at(physics: Physics, shape: Shape, motion: Motion, done, substeps) -> H
     start, end = turned(local[0, 0], local[0, 1]), turned(local[1, 0], local[1, 1])  # [H, C]
     # The palm's motion, and on the fingers the creep of their surface: of a twist (u, w) given at
     # the hand's origin o, the velocity at a point p is u + w x (p - o).
-    slip = (*turned(creep[0], creep[1]), creep[2])  # [2, C] each
-    still = jnp.zeros_like(creep[0, :1])
-    per_body = [jnp.concatenate([still, s]) + v for s, v in zip(slip, motion.velocity, strict=True)]
-    count = np.bincount(hand.CAPSULE_BODY)
-    ux, uy, spin = (
-        jnp.concatenate([jnp.broadcast_to(v[i], (n, *v[i].shape)) for i, n in enumerate(count)])
-        for v in per_body
+    slip = (*turned(creep[0], creep[1]), creep[2])  # [bodies, C] each
+    ux, uy, spin = (s + v for s, v in zip(slip, motion.velocity, strict=True))
+    return written_out(
+        one,
+        lambda: Hand(
+            start=(start[0] + x, start[1] + y),
+            along=(end[0] - start[0], end[1] - start[1]),
+            twist=(ux + spin * y, uy - spin * x, spin),
+        ),
     )
-    return Hand(
-        start=(start[0] + x, start[1] + y),
-        along=(end[0] - start[0], end[1] - start[1]),
-        twist=(ux + spin * y, uy - spin * x, spin),
-    )
+
+
+def turn_at(physics: Physics, motion: Motion, done) -> Turn:
+    """The hand's turn when `done` of the knot's substeps are done."""
+    yaw = motion.pose[2] + done * physics.substep_s * motion.velocity[2]
+    return Turn(jnp.cos(yaw), jnp.sin(yaw))
 
 
 def knot(
     c: Constants,
-    hand_after: Callable[[jax.Array], Hand],
+    physics: Physics,
+    shape: Shape,
+    motion: Motion,
     substeps: jax.Array,
     objects: Objects,
+    near: int,
     iterations: int,
     cg_iterations: int,
-) -> tuple[Objects, jax.Array, tuple[jax.Array, jax.Array]]:
-    """Do a knot's substeps; `hand_after` gives the hand after a number of them.
+) -> tuple[Objects, jax.Array, tuple[jax.Array, jax.Array, jax.Array]]:
+    """Do a knot's substeps; the hand can touch the first `near` objects.
 
     Returns:
       The objects after them; [A, C] the largest distance of each from its start, squared (m^2);
@@ -122,23 +145,29 @@ def knot(
     """
     x0, y0 = objects.x, objects.y
     b, dt = c.reference, c.substep_s
+    one = jnp.minimum(substeps, 1)
+    # Sines in each substep would cost a tenth of it.
+    by = Turn(jnp.cos(dt * motion.velocity[2]), jnp.sin(dt * motion.velocity[2]))
 
-    def problem_at(o: Objects, done: jax.Array) -> Problem:
-        return contact.build(c, o.x, o.y, o.vx, o.vy, hand_after(done))
+    def problem_at(o: Objects, done: jax.Array, turn: Turn) -> Problem:
+        now = hand_at(physics, shape, motion, done, substeps, turn, one)
+        return contact.build(c, o.x, o.y, o.vx, o.vy, now, near, one)
 
     def substep(done, carry):
-        o, _, far = carry
+        o, _, far, turn = carry
         # The last substep's acceleration is the first guess.
         guess = o.ax + b * o.vx, o.ay + b * o.vy
-        wx, wy = solve(c, problem_at(o, done), guess, iterations, cg_iterations)
+        problem = problem_at(o, done, turn)
+        wx, wy = solve(c, problem, guess, iterations, cg_iterations, one)
         ax, ay = wx - b * o.vx, wy - b * o.vy
         vx, vy = o.vx + dt * ax, o.vy + dt * ay
         after = Objects(o.x + dt * vx, o.y + dt * vy, vx, vy, ax, ay)
         far = jnp.maximum(far, (after.x - x0) ** 2 + (after.y - y0) ** 2)
-        return after, o, far
+        turn = Turn(turn.cos * by.cos - turn.sin * by.sin, turn.sin * by.cos + turn.cos * by.sin)
+        return after, o, far, turn
 
-    begin = (objects, objects, jnp.zeros_like(x0))
-    after, before, far = jax.lax.fori_loop(0, substeps, substep, begin)
-    problem = problem_at(before, substeps - 1)
+    begin = (objects, objects, jnp.zeros_like(x0), turn_at(physics, motion, 0))
+    after, before, far, _ = jax.lax.fori_loop(0, substeps, substep, begin)
+    problem = problem_at(before, substeps - 1, turn_at(physics, motion, substeps - 1))
     w = after.ax + b * before.vx, after.ay + b * before.vy
     return after, far, contact.forces(c, problem, *w)

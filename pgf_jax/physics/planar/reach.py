@@ -21,8 +21,11 @@ ROUNDS = 4  # objects in a row that one push can move
 
 def travel(
     c: Constants, x: jax.Array, y: jax.Array, vx: jax.Array, vy: jax.Array, sweep: Hand
-) -> jax.Array:
+) -> tuple[jax.Array, jax.Array]:
     """Guess how far each object gets: [N, C] m; 0 where it cannot move.
+
+    Returns that, and a bound of how deep the hand gets into each where it is now ([N, C] m; <= 0:
+    the hand does not touch it).
 
     Args:
       c: constants.
@@ -57,7 +60,19 @@ def travel(
         mx = jnp.where(further, scale * jnp.take_along_axis(rx, first, 0)[0], mx)
         my = jnp.where(further, scale * jnp.take_along_axis(ry, first, 0)[0], my)
         far = jnp.where(further, most, far)
-    return far
+    return far, depth
+
+
+def taking_part(far: jax.Array, depth: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Which objects can move, and which of these the hand can touch on their way: [N, C] bool."""
+    moving = ~(far <= 0)  # also where it is not a number
+    return moving, moving & ~(depth + far <= 0)
+
+
+def order(far: jax.Array, depth: jax.Array) -> jax.Array:
+    """Order of the objects, [N, C]: first those near the hand, then those that get furthest."""
+    moving, near = taking_part(far, depth)
+    return jnp.argsort(jnp.where(moving, jnp.where(near, -2.0, -1.0), 0.0), axis=0, stable=True)
 
 
 def touched(

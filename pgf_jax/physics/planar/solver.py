@@ -12,18 +12,21 @@ import jax.numpy as jnp
 
 from pgf_jax.physics.planar import contact
 from pgf_jax.physics.planar.constants import Constants
-from pgf_jax.physics.planar.contact import Problem, Slopes
-
-Pair = tuple[jax.Array, jax.Array]
+from pgf_jax.physics.planar.contact import Pair, Problem, Slopes
 
 _TINY = 1e-20  # keeps 0 / 0 finite in a lane that has converged
 
 
-def solve(c: Constants, p: Problem, w: Pair, iterations: int, cg_iterations: int) -> Pair:
-    """Find the w ([A, C] each) that minimises the cost, from a first guess."""
+def solve(
+    c: Constants, p: Problem, w: Pair, iterations: int, cg_iterations: int, one: jax.Array
+) -> Pair:
+    """Find the w ([A, C] each) that minimises the cost, from a first guess.
+
+    `one` is 1, see `written_out`.
+    """
 
     def newton(_, w: Pair) -> Pair:
-        return _plus(w, 1.0, newton_step(contact.slopes(c, p, *w), cg_iterations))
+        return _plus(w, 1.0, newton_step(contact.slopes(c, p, *w, one), cg_iterations))
 
     return jax.lax.fori_loop(0, iterations, newton, w)
 
@@ -39,8 +42,8 @@ def newton_step(s: Slopes, iterations: int) -> Pair:
         # in `contact.slopes`.
         hx, hy = xx * px + xy * py, xy * px + yy * py
         for j in range(len(px)):
-            hx = hx - kxx[:, j] * px[j] - kxy[:, j] * py[j]
-            hy = hy - kxy[:, j] * px[j] - kyy[:, j] * py[j]
+            hx = hx - kxx[j] * px[j] - kxy[j] * py[j]
+            hy = hy - kxy[j] * px[j] - kyy[j] * py[j]
         return hx, hy
 
     def precondition(r: Pair) -> Pair:
