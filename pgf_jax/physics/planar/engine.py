@@ -20,6 +20,7 @@ from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
 from pgf_jax.physics.planar import constants, contact, motion, reach
 from pgf_jax.physics.planar.contact import Hand
 from pgf_jax.physics.planar.motion import Motion, Objects
+from pgf_jax.physics.planar.reach import Part
 
 # Classes: A objects that can move, H of them within the hand's reach; then all of N.
 SIZES = ((4, 4), (8, 6), (12, 8), (16, 10))
@@ -33,8 +34,7 @@ class _State(NamedTuple):
     objects: Objects  # [N, B] each
     pose: jax.Array  # [3, B]
     knot: jax.Array  # [B] number of the next knot
-    travel: jax.Array  # [N, B] `reach.travel` in it
-    depth: jax.Array  # [N, B] and how deep the hand gets into each object
+    part: Part  # [N, B] the objects that take part in it
     size: jax.Array  # [B] class: 0 nothing moves, k the k-th size; -1: done, or not wanted
     out: tuple[jax.Array, ...]  # Rollout's arrays but for the velocities
     work: jax.Array  # [2] lanes of the chunks that were computed; those of them that were used
@@ -103,14 +103,14 @@ class PlanarEngine:
             )
 
         def next_size(objects: Objects, pose, knot, lane):
-            now = motion_in(knot, lane, pose)
-            far, depth = reach.travel(self._constants, *objects[:4], self._sweep(now, substeps))
-            return far, depth, jnp.where(knot < t, size_of(far, depth), -1)
+            sweep = self._sweep(motion_in(knot, lane, pose), substeps)
+            part = reach.guess(self._constants, *objects[:4], sweep)
+            return part, jnp.where(knot < t, size_of(part), -1)
 
-        def size_of(far, depth):
-            moving, near = (v.sum(0) for v in reach.taking_part(far, depth))
-            most_moving, most_near = np.array([(0, 0), *self._sizes]).T[..., None]
-            return ((moving > most_moving) | (near > most_near)).sum(0)
+        def size_of(part: Part):
+            most, most_near = np.array([(0, 0), *self._sizes]).T[..., None]
+            taking, near = part.counts()
+            return ((taking > most) | (near > most_near)).sum(0)
 
         zero = jnp.zeros((n, b))
         objects = Objects(
@@ -126,8 +126,7 @@ class PlanarEngine:
             start.hand.T,
             # Each lane begins with a knot -1 in which nothing moves: it finds the class of knot 0.
             jnp.full(b, -1, jnp.int32),
-            zero,
-            zero,
+            Part(zero, jnp.full((n, b), reach.RESTING), jnp.zeros(b, bool)),
             jnp.where(wanted, 0, -1),
             (
                 jnp.zeros((b, t, n, 2)),
@@ -139,29 +138,30 @@ class PlanarEngine:
         )
 
         def work(state: _State) -> _State:
-            # The class with most lanes waiting, and the first of them.
+            # The class with most lanes waiting; but knots without motion first where no class fills
+            # a chunk, since they cost nothing and more lanes wait afterwards.
             kinds = jnp.arange(len(self._sizes) + 1)
             waiting = (state.size[None] == kinds[:, None]).sum(1)
-            kind = jnp.argmax(waiting)
-            mine = state.size == kind
-            rank = jnp.cumsum(mine) - 1
-            lane = (
-                jnp.full(chunk, b).at[jnp.where(mine, rank, chunk)].set(jnp.arange(b), mode="drop")
-            )
+            idle = (waiting[0] > 0) & (waiting[1:].max() < chunk)
+            kind = jnp.where(idle, 0, jnp.argmax(waiting))
+            # Its lanes, then those of smaller classes; those that are behind before others.
+            mine = (state.size <= kind) & (state.size >= jnp.minimum(kind, 1))
+            rank = jnp.where(mine, (kind - state.size) * t + state.knot, t * len(kinds))
+            lane = jnp.argsort(rank, stable=True)[:chunk]
+            lane = jnp.where(mine[lane], lane, b)
             got = jnp.minimum(lane, b - 1)
             before = jax.tree.map(lambda a: a[:, got], state.objects)
-            far, depth = state.travel[:, got], state.depth[:, got]
+            part = jax.tree.map(lambda a: a[..., got], state.part)
             pose, knot = state.pose[:, got], state.knot[got]
             now = motion_in(knot, got, pose)
             branches = [self._stand, *(functools.partial(self._advance, *s) for s in self._sizes)]
-            after, more, force, bodies = jax.lax.switch(
-                kind, branches, substeps, before, far, depth, now
+            after, touched, reached, force, bodies = jax.lax.switch(
+                kind, branches, substeps, before, part, now
             )
             after = jax.tree.map(lambda a, v: jnp.where(knot < 0, v, a), after, before)
 
-            # A lane in which another object was touched does the knot again, with that object.
-            fine = ~(more > 0).any(0)
-            again = jnp.maximum(far, more)
+            # A lane that left something out does the knot again, with that.
+            fine = ~(touched.any(0) | reached)
             where = jnp.where(fine, lane, b)
             pose = pose + substeps * self.physics.substep_s * now.velocity
             ends = jnp.where(knot < 0, b, where)
@@ -170,15 +170,15 @@ class PlanarEngine:
             out = tuple(
                 a.at[ends, knot].set(v, mode="drop") for a, v in zip(state.out, values, strict=True)
             )
-            next_far, next_depth, size = next_size(after, pose, knot + 1, got)
-            far, depth = jnp.where(fine, next_far, again), jnp.where(fine, next_depth, depth)
-            size = jnp.where(fine, size, size_of(far, depth))
+            again = part.with_added(touched, reached)
+            part, size = next_size(after, pose, knot + 1, got)
+            part = jax.tree.map(lambda v, a: jnp.where(fine, v, a), part, again)
+            size = jnp.where(fine, size, size_of(again))
             return _State(
                 jax.tree.map(lambda a, v: a.at[:, where].set(v, mode="drop"), state.objects, after),
                 state.pose.at[:, where].set(pose, mode="drop"),
                 state.knot.at[where].add(1, mode="drop"),
-                state.travel.at[:, lane].set(far, mode="drop"),
-                state.depth.at[:, lane].set(depth, mode="drop"),
+                jax.tree.map(lambda a, v: a.at[..., lane].set(v, mode="drop"), state.part, part),
                 state.size.at[lane].set(size, mode="drop"),
                 out,
                 state.work + (kind > 0) * jnp.stack([chunk, (fine & (lane < b)).sum()]),
@@ -199,47 +199,50 @@ class PlanarEngine:
 
         return jax.lax.map(at, jnp.arange(SWEEP) * (substeps / (SWEEP - 1)))
 
-    def _stand(self, substeps, objects: Objects, far, depth, now):
+    def _stand(self, substeps, objects: Objects, part: Part, now):
         """Do a knot in which no object can move."""
-        c = far.shape[1]
+        c = part.role.shape[1]
         zero = jnp.zeros_like(objects.vx)
         still = Objects(objects.x, objects.y, zero, zero, zero, zero)
         no_force = jnp.zeros((c, MAX_CONTACTS))
         no_bodies = jnp.zeros((c, MAX_CONTACTS, 2), jnp.int32)
-        return still, jnp.zeros_like(far), no_force, no_bodies
+        return still, jnp.zeros(part.role.shape, bool), jnp.zeros(c, bool), no_force, no_bodies
 
-    def _advance(self, a: int, h: int, substeps, objects: Objects, far, depth, now):
-        """Do a knot with the `a` objects that may move furthest, `h` of them near the hand.
+    def _advance(self, a: int, h: int, substeps, objects: Objects, part: Part, now):
+        """Do a knot with `a` objects, of which the hand may touch the first `h`.
 
         Returns:
-          All objects after the knot; [N, C] how far the objects get that were left out of
-          something which they may have touched (m, 0: none was); the strongest contacts.
+          All objects after the knot; [N, C] the objects that should have taken part too; [C]
+          whether the hand may have touched others than the first `h`; the strongest contacts.
         """
-        order = reach.order(far, depth)
-        mine, others = order[:a], order[a:]
-        part = jax.tree.map(lambda v: jnp.take_along_axis(v, mine, 0), objects)
-        moved, most, force = motion.knot(
+        n, c = part.role.shape
+        mine = part.order()[:a]
+        still = jax.tree.map(jnp.zeros_like, objects)._replace(x=objects.x, y=objects.y)
+        # Resting objects that fill up are out of the way, so that they change nothing: wide apart
+        # in front of the shelf.
+        resting = part.role == reach.RESTING
+        apart = -10.0 - jnp.arange(n, dtype=objects.x.dtype)[:, None]
+        away = Objects(apart, *([0.0] * 5))
+        begin = jax.tree.map(lambda v, w: jnp.where(resting, w, v), objects, away)
+        moved, box, force = motion.knot(
             self._constants,
             self.physics,
             self._shape,
             now,
             substeps,
-            part,
+            jax.tree.map(lambda v: jnp.take_along_axis(v, mine, 0), begin),
             h,
             self.iterations,
             self.cg_iterations,
         )
-        way = jnp.sqrt(most)
-        rest = (jnp.take_along_axis(v, others, 0) for v in (objects.x, objects.y))
-        touched = reach.touched(self._constants, part.x, part.y, way, *rest)
-        # Those that were thought to stay out of the hand's reach.
-        away = way[h:]
-        reached = jnp.where(jnp.take_along_axis(depth, mine[h:], 0) + away > 0, away, 0.0)
-        still = jax.tree.map(jnp.zeros_like, objects)._replace(x=objects.x, y=objects.y)
-        lane = jnp.arange(far.shape[1])
-        after = jax.tree.map(lambda v, m: v.at[mine, lane].set(m), still, moved)
-        more = jnp.zeros_like(far).at[others, lane].set(touched).at[mine[h:], lane].set(reached)
-        return after, more, *self._strongest(force, mine)
+        touched = reach.touched(self._constants, box, objects.x, objects.y) & resting
+        way = jnp.take_along_axis(part.depth, mine[h:], 0) + box.way()[h:]
+        lane = jnp.arange(c)
+        after = jax.tree.map(
+            lambda v, m: jnp.where(resting, v, v.at[mine, lane].set(m)), still, moved
+        )
+        reached = ~(way <= 0).all(0) & ~part.anywhere
+        return after, touched, reached, *self._strongest(force, mine)
 
     def _strongest(self, force: tuple[jax.Array, jax.Array, jax.Array], mine: jax.Array):
         """The strongest contacts of each lane: [C, slots] N and [C, slots, 2] bodies."""

@@ -34,6 +34,23 @@ class Objects(NamedTuple):
     ay: jax.Array
 
 
+class Box(NamedTuple):
+    """Bounds of each object's way during a knot, [A, C] each, m."""
+
+    x0: jax.Array  # where it began
+    y0: jax.Array
+    left: jax.Array
+    right: jax.Array
+    low: jax.Array
+    high: jax.Array
+
+    def way(self) -> jax.Array:
+        """The furthest that an object may have been from its start, [A, C] m."""
+        x = jnp.maximum(self.right - self.x0, self.x0 - self.left)
+        y = jnp.maximum(self.high - self.y0, self.y0 - self.low)
+        return jnp.sqrt(x * x + y * y)
+
+
 class Shape(NamedTuple):
     """Coefficients that give the hand's shape at any gripper value (see `fit_shape`)."""
 
@@ -43,6 +60,7 @@ class Shape(NamedTuple):
     creep_bends: np.ndarray  # [8, 3, bodies] how much the slope changes there
 
 
+REST = 1e-4  # m/s; a slower object that is not touched stands still (MuJoCo's sleep)
 DEGREE = 5  # of the polynomials: within 1e-8 m of the links' rotations
 
 
@@ -136,14 +154,13 @@ def knot(
     near: int,
     iterations: int,
     cg_iterations: int,
-) -> tuple[Objects, jax.Array, tuple[jax.Array, jax.Array, jax.Array]]:
+) -> tuple[Objects, Box, tuple[jax.Array, jax.Array, jax.Array]]:
     """Do a knot's substeps; the hand can touch the first `near` objects.
 
     Returns:
-      The objects after them; [A, C] the largest distance of each from its start, squared (m^2);
-      and the forces of the last substep's contacts (`contact.forces`).
+      The objects after them; where they have been; and the forces of the last substep's contacts
+      (`contact.forces`).
     """
-    x0, y0 = objects.x, objects.y
     b, dt = c.reference, c.substep_s
     one = jnp.minimum(substeps, 1)
     # Sines in each substep would cost a tenth of it.
@@ -154,7 +171,7 @@ def knot(
         return contact.build(c, o.x, o.y, o.vx, o.vy, now, near, one)
 
     def substep(done, carry):
-        o, _, far, turn = carry
+        o, _, box, turn = carry
         # The last substep's acceleration is the first guess.
         guess = o.ax + b * o.vx, o.ay + b * o.vy
         problem = problem_at(o, done, turn)
@@ -162,12 +179,22 @@ def knot(
         ax, ay = wx - b * o.vx, wy - b * o.vy
         vx, vy = o.vx + dt * ax, o.vy + dt * ay
         after = Objects(o.x + dt * vx, o.y + dt * vy, vx, vy, ax, ay)
-        far = jnp.maximum(far, (after.x - x0) ** 2 + (after.y - y0) ** 2)
+        box = box._replace(
+            left=jnp.minimum(box.left, after.x),
+            right=jnp.maximum(box.right, after.x),
+            low=jnp.minimum(box.low, after.y),
+            high=jnp.maximum(box.high, after.y),
+        )
         turn = Turn(turn.cos * by.cos - turn.sin * by.sin, turn.sin * by.cos + turn.cos * by.sin)
-        return after, o, far, turn
+        return after, o, box, turn
 
-    begin = (objects, objects, jnp.zeros_like(x0), turn_at(physics, motion, 0))
-    after, before, far, _ = jax.lax.fori_loop(0, substeps, substep, begin)
+    x, y = objects.x, objects.y
+    begin = (objects, objects, Box(x, y, x, x, y, y), turn_at(physics, motion, 0))
+    after, before, box, _ = jax.lax.fori_loop(0, substeps, substep, begin)
     problem = problem_at(before, substeps - 1, turn_at(physics, motion, substeps - 1))
     w = after.ax + b * before.vx, after.ay + b * before.vy
-    return after, far, contact.forces(c, problem, *w)
+    # At rest in the next knot whether it takes part there or not: so no result depends on that.
+    awake = after.vx**2 + after.vy**2 > REST**2
+    rest = (jnp.where(awake, v, 0.0) for v in after[2:])
+    after = Objects(after.x, after.y, *rest)
+    return after, box, contact.forces(c, problem, *w)

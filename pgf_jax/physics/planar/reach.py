@@ -6,26 +6,56 @@ gets is a guess that is checked afterwards (`touched`): a wrong guess costs time
 a result.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
 from pgf_jax.physics.planar.constants import Constants
 from pgf_jax.physics.planar.contact import Hand
+from pgf_jax.physics.planar.motion import REST, Box
 
-REST = 1e-4  # m/s; an object that is slower and not touched stands still (MuJoCo's sleep)
 DECELERATION = 3.0  # m/s^2 at least, of a sliding object: friction loss over mass, with a margin
 SLACK = 5e-4  # m added to every guess
 ASIDE = 0.7  # share of its way that an object may get in any other direction
 ROUNDS = 4  # objects in a row that one push can move
 
 
-def travel(
-    c: Constants, x: jax.Array, y: jax.Array, vx: jax.Array, vy: jax.Array, sweep: Hand
-) -> tuple[jax.Array, jax.Array]:
-    """Guess how far each object gets: [N, C] m; 0 where it cannot move.
+# Roles of the objects in a knot, in the order in which the contact problem has them.
+NEAR, MOVING, ADDED, RESTING = range(4)
 
-    Returns that, and a bound of how deep the hand gets into each where it is now ([N, C] m; <= 0:
-    the hand does not touch it).
+
+class Part(NamedTuple):
+    """Which objects take part in a knot, and in which role.
+
+    Objects are added where a guess was wrong, but never change places; and those that take part to
+    fill up come last, where they add zeros to every sum. So a result does not depend on the class
+    in which it was computed.
+    """
+
+    depth: jax.Array  # [N, C] how deep the hand gets at most into each where it is now, m
+    role: jax.Array  # [N, C] int32
+    anywhere: jax.Array  # [C] bool, the hand may touch all that take part, not only those near
+
+    def order(self) -> jax.Array:
+        """The objects in the order of the contact problem, [N, C]."""
+        return jnp.argsort(self.role, axis=0, stable=True)
+
+    def counts(self) -> tuple[jax.Array, jax.Array]:
+        """How many objects take part, and how many of them the hand may touch, [C] each."""
+        taking = (self.role != RESTING).sum(0)
+        return taking, jnp.where(self.anywhere, taking, (self.role == NEAR).sum(0))
+
+    def with_added(self, touched: jax.Array, anywhere: jax.Array) -> "Part":
+        """The part with the objects that were touched ([N, C] bool)."""
+        role = jnp.where(touched & (self.role == RESTING), ADDED, self.role)
+        return self._replace(role=role, anywhere=self.anywhere | anywhere)
+
+
+def guess(
+    c: Constants, x: jax.Array, y: jax.Array, vx: jax.Array, vy: jax.Array, sweep: Hand
+) -> Part:
+    """Guess which objects take part in a knot.
 
     Args:
       c: constants.
@@ -33,7 +63,23 @@ def travel(
       vx, vy: [N, C] m/s.
       sweep: [P, H, C] the hand at P times of the knot, first and last included.
     """
-    depth, nx, ny = _hand_depth(c, x, y, sweep)
+    hand = _hand_depth(c, x, y, sweep)
+    far = _travel(c, x, y, vx, vy, hand)
+    resting = far <= 0  # not where it is not a number
+    role = jnp.where(hand[0] + far <= 0, MOVING, NEAR)
+    return Part(hand[0], jnp.where(resting, RESTING, role), jnp.zeros(x.shape[1], bool))
+
+
+def _travel(
+    c: Constants,
+    x: jax.Array,
+    y: jax.Array,
+    vx: jax.Array,
+    vy: jax.Array,
+    hand: tuple[jax.Array, jax.Array, jax.Array],
+) -> jax.Array:
+    """Guess how far each object gets: [N, C] m; 0 where it cannot move."""
+    depth, nx, ny = hand
     speed = jnp.sqrt(vx * vx + vy * vy)
     coasting = jnp.where(speed > REST, speed**2 / (2 * DECELERATION) + SLACK, 0.0)
     pushed = jnp.where(depth > 0, depth + SLACK, 0.0)
@@ -60,32 +106,15 @@ def travel(
         mx = jnp.where(further, scale * jnp.take_along_axis(rx, first, 0)[0], mx)
         my = jnp.where(further, scale * jnp.take_along_axis(ry, first, 0)[0], my)
         far = jnp.where(further, most, far)
-    return far, depth
+    return far
 
 
-def taking_part(far: jax.Array, depth: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Which objects can move, and which of these the hand can touch on their way: [N, C] bool."""
-    moving = ~(far <= 0)  # also where it is not a number
-    return moving, moving & ~(depth + far <= 0)
-
-
-def order(far: jax.Array, depth: jax.Array) -> jax.Array:
-    """Order of the objects, [N, C]: first those near the hand, then those that get furthest."""
-    moving, near = taking_part(far, depth)
-    return jnp.argsort(jnp.where(moving, jnp.where(near, -2.0, -1.0), 0.0), axis=0, stable=True)
-
-
-def touched(
-    c: Constants, x: jax.Array, y: jax.Array, far: jax.Array, rest_x: jax.Array, rest_y: jax.Array
-) -> jax.Array:
-    """Bound how deep objects that got `far` ([A, C] m) from (x, y) were in resting objects.
-
-    Returns:
-      [rest, C] m; <= 0: certainly not touched.
-    """
-    dx, dy = x[:, None] - rest_x[None], y[:, None] - rest_y[None]
-    free = jnp.sqrt(dx * dx + dy * dy) - 2 * c.radius
-    return (far[:, None] - free).max(0)
+def touched(c: Constants, box: Box, rest_x: jax.Array, rest_y: jax.Array) -> jax.Array:
+    """Which of the resting objects ([rest, C] m) those on their ways [A, C] may have touched."""
+    gap_x = jnp.maximum(box.left[:, None] - rest_x, rest_x - box.right[:, None])
+    gap_y = jnp.maximum(box.low[:, None] - rest_y, rest_y - box.high[:, None])
+    gap_x, gap_y = jnp.maximum(gap_x, 0.0), jnp.maximum(gap_y, 0.0)
+    return ~(gap_x * gap_x + gap_y * gap_y >= (2 * c.radius) ** 2).all(0)
 
 
 def _hand_depth(
