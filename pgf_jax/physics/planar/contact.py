@@ -100,6 +100,15 @@ def build(
     )
 
 
+def empty(x: jax.Array, near: int) -> Problem:
+    """A problem of zeros, in the shapes of one of objects at x [A, C]."""
+    (a, c), zero = x.shape, jnp.zeros_like(x)
+    row = jnp.zeros((hand_shape.N_CAPSULES, near, c), x.dtype)
+    pair = jnp.zeros((a * (a - 1) // 2, c), x.dtype)
+    two = (zero, zero)
+    return Problem(two, two, (row,) * 4, jnp.int32(0), zero, zero, zero, (pair, pair), pair)
+
+
 class Slopes(NamedTuple):
     """Gradient [A, C], and 2x2 blocks of the Hessian."""
 

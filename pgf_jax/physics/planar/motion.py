@@ -171,7 +171,7 @@ def knot(
         return contact.build(c, o.x, o.y, o.vx, o.vy, now, near, one)
 
     def substep(done, carry):
-        o, _, box, turn = carry
+        o, box, turn, _ = carry
         # The last substep's acceleration is the first guess.
         guess = o.ax + b * o.vx, o.ay + b * o.vy
         problem = problem_at(o, done, turn)
@@ -186,15 +186,16 @@ def knot(
             high=jnp.maximum(box.high, after.y),
         )
         turn = Turn(turn.cos * by.cos - turn.sin * by.sin, turn.sin * by.cos + turn.cos * by.sin)
-        return after, o, box, turn
+        return after, box, turn, (problem, wx, wy)
 
     x, y = objects.x, objects.y
-    begin = (objects, objects, Box(x, y, x, x, y, y), turn_at(physics, motion, 0))
-    after, before, box, _ = jax.lax.fori_loop(0, substeps, substep, begin)
-    problem = problem_at(before, substeps - 1, turn_at(physics, motion, substeps - 1))
-    w = after.ax + b * before.vx, after.ay + b * before.vy
+    begin = (objects, Box(x, y, x, x, y, y), turn_at(physics, motion, 0))
+    # The last substep's problem is kept for the forces: to build it again would take as long to
+    # compile as the substep.
+    last = (contact.empty(x, near), x, x)
+    after, box, _, last = jax.lax.fori_loop(0, substeps, substep, (*begin, last))
     # At rest in the next knot whether it takes part there or not: so no result depends on that.
     awake = after.vx**2 + after.vy**2 > REST**2
     rest = (jnp.where(awake, v, 0.0) for v in after[2:])
     after = Objects(after.x, after.y, *rest)
-    return after, box, contact.forces(c, problem, *w)
+    return after, box, contact.forces(c, *last)
