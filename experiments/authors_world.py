@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 import tyro
 
-from pgf_jax import load_scene, make_engine
+from pgf_jax import configure, load_scene, make_engine
 from pgf_jax.physics.engine import World
 from pgf_jax.physics.hand import GRIPPER_CLOSED
 from pgf_jax.planning.config import Cost
@@ -110,6 +110,7 @@ class AuthorsWorld:
 
 def main(config: Config) -> None:
     """Measure, and print the results."""
+    configure("native")
     paths = sorted(config.scenes.glob("*.xml"))[: config.count]
     if config.creep:
         for gripper in GRIPPERS:

@@ -8,11 +8,8 @@ best candidate is written into `RECIPES` of `pgf_jax/training/train.py`.
 """
 
 import dataclasses
-import os
 from collections.abc import Callable
 from pathlib import Path
-
-os.environ.setdefault("NPROC", "1")
 
 import jax
 import numpy as np
@@ -21,6 +18,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from pgf_jax import configure
 from pgf_jax.guidance.predictors.features import FEATURES, STATE
 from pgf_jax.tables.forks import Forks, forks_of, read_forks
 from pgf_jax.tables.runs import Mode, runs_path
@@ -102,6 +100,7 @@ CANDIDATES: dict[str, Bid] = {
 
 def main(config: Config) -> None:
     """Cross-validate, and print the table."""
+    configure()
     forks = forks_of(read_forks(runs_path(config.data, Mode.FORKS)))
     fold = np.random.default_rng(0).permutation(len(forks.scene)) % config.folds
     bids = {name: np.empty(len(forks.scene)) for name in CANDIDATES}

@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from pgf_jax import PlanConfig, sample_scene
+from pgf_jax import PlanConfig, configure, sample_scene
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
 from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.scene import PRESETS
@@ -33,6 +33,7 @@ class Config:
 
 def main(config: Config) -> None:
     """Plan with both engines, and print the results."""
+    configure(None)
     console = Console()
     scenes = [
         (sample_scene(config.seed + i // 3, PRESETS[i % 3]), config.seed + i)

@@ -15,7 +15,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from pgf_jax import Plan, PlanConfig, sample_scene
+from pgf_jax import Plan, PlanConfig, configure, sample_scene
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
 from pgf_jax.fleet.policies import once_after
 from pgf_jax.plans.plan import plan_scenes
@@ -53,6 +53,7 @@ def solved_within(plan: Plan, limit: int) -> bool:
 
 def main(config: Config) -> None:
     """Plan with and without help, and print the comparison."""
+    configure(config.engine)
     console = Console()
     scenes = [
         (sample_scene(config.seed + i // 3, PRESETS[i % 3]), config.seed + i)

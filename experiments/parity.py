@@ -18,7 +18,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from pgf_jax import load_scene, make_engine, sample_scene
+from pgf_jax import configure, load_scene, make_engine, sample_scene
 from pgf_jax.physics.config import Physics
 from pgf_jax.physics.engine import Rollout, World
 from pgf_jax.physics.model import KINEMATIC_ARMATURE
@@ -68,6 +68,7 @@ def by_pair(force: np.ndarray, bodies: np.ndarray) -> dict[tuple[int, int], floa
 
 def main(config: Config) -> None:
     """Roll out with both engines and print the distances."""
+    configure(config.engine)
     if config.scenes is None:
         scenes = [sample_scene(config.seed + i, PRESETS[i % 3]) for i in range(config.count)]
     else:

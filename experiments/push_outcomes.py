@@ -18,7 +18,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from pgf_jax import Push, make_engine, sample_scene
+from pgf_jax import Push, configure, make_engine, sample_scene
 from pgf_jax.fleet.metrics import rate_interval
 from pgf_jax.guidance.operators import heuristic
 from pgf_jax.guidance.view import View
@@ -134,6 +134,7 @@ def outcomes(config: Config, seeds: range, tries: Tries) -> list[Outcome]:
 
 def main(config: Config) -> None:
     """Try the pushes, and print the table."""
+    configure()
     console, tries, found = Console(), Tries(config), []
     seeds = range(config.seed, config.seed + -(-config.scenes // len(PRESETS)))
     for k in range(0, len(seeds), 10):

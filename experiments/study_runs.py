@@ -8,23 +8,17 @@ them again, and continues where it was interrupted.
 """
 
 import dataclasses
-import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-# Set before JAX is imported: threads of XLA cost the planar engine a third of its speed. Compiled
-# programs are cached in the folder that the command line uses.
-os.environ.setdefault("NPROC", "1")
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path.home() / ".cache" / "pgf_jax"))
-
 import polars as pl
 import tyro
 from rich.console import Console
 
-from pgf_jax import BadInput, SweepConfig, sweeps
+from pgf_jax import BadInput, SweepConfig, configure, sweeps
 from pgf_jax.files import write_atomically
 from pgf_jax.fleet.attention import attention
 from pgf_jax.fleet.identities import verify
@@ -43,6 +37,7 @@ Labels = Mapping[str, str | int | float]
 
 def script(main: Callable[[Any], None], config: type) -> None:
     """Run a script with its command line; bad input gives one line and exit code 2."""
+    configure()
     try:
         main(tyro.cli(config))
     except BadInput as error:

@@ -28,7 +28,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from pgf_jax import SweepConfig, sweeps
+from pgf_jax import SweepConfig, configure, sweeps
 from pgf_jax.parallel.local import LocalPool
 from pgf_jax.sweeping.cell_store import RUN
 
@@ -135,6 +135,7 @@ def _spread(values: Sequence[float]) -> str:
 
 
 def main(options: Options) -> None:
+    configure()
     console = Console()
     times: dict[str, list[Timed]] = {"local processes": [], "Dask over TCP": []}
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:

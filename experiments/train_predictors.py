@@ -11,11 +11,8 @@ figures of `checkpoints/README.md` come from this script.
 import dataclasses
 import hashlib
 import json
-import os
 import time
 from pathlib import Path
-
-os.environ.setdefault("NPROC", "1")  # threads of XLA cost the planar engine a third of its speed
 
 import jax
 import predictor_report as report
@@ -23,6 +20,7 @@ import tyro
 from predictor_data import Data, collect, load
 from rich.console import Console
 
+from pgf_jax import configure
 from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.files import write_atomically
 from pgf_jax.guidance.predictors import checkpoint as ckpt
@@ -126,6 +124,7 @@ def save_ablations(data: Data, folder: Path) -> None:
 
 def main(config: Config) -> None:
     """Collect, train, judge, write and print."""
+    configure()
     console = Console()
     begun = time.perf_counter()
     folder = config.data / f"scale_{config.scale:g}"

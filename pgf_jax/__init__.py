@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pgf_jax.guidance.view import View as View
     from pgf_jax.inspection.config import VerifyConfig as VerifyConfig
     from pgf_jax.inspection.verify import verify as verify
+    from pgf_jax.jax_setup import configure as configure
     from pgf_jax.physics.config import Physics as Physics
     from pgf_jax.physics.engine import Rollout as Rollout
     from pgf_jax.physics.engine import make_engine as make_engine
@@ -63,6 +64,7 @@ _MODULES = {
     "VerifyConfig": "inspection.config",
     "View": "guidance.view",
     "collect": "collection.collect",
+    "configure": "jax_setup",
     "load_plan": "plans.file",
     "load_scene": "scene.mjcf",
     "load_sweep": "sweeping.load",

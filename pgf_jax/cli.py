@@ -5,15 +5,16 @@ input answer at once. Bad input of every kind ends in one line on stderr and exi
 """
 
 import dataclasses
+import gc
 import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 from pgf_jax.arguments import parse
 from pgf_jax.errors import BadInput, WorkersLost, did_you_mean
+from pgf_jax.jax_setup import configure_early
 
 PROG = "pgf-jax"
 LOST, BAD_INPUT, INTERRUPTED = 1, 2, 130
@@ -27,11 +28,13 @@ class Command:
       summary: its line in the list of commands.
       config: `module:Class` of its settings, imported to parse the arguments.
       run: runs the command with its settings; imports what it needs when it is called.
+      engine: the engine that JAX is configured for where the settings name none.
     """
 
     summary: str
     config: str
     run: Callable[[Any], None]
+    engine: str | None = None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -83,8 +86,8 @@ def _main(arguments: list[str]) -> int:
         )
     except SystemExit as stop:  # help was printed
         return int(stop.code or 0)
-    _keep_compiled()
-    _one_thread(config)
+    configure_early(getattr(getattr(config, "config", config), "engine", command.engine))
+    gc.set_threshold(50_000)  # tracing makes much that stays; looking through it takes 0.4 s
     command.run(config)
     return 0
 
@@ -109,25 +112,6 @@ def _help() -> str:
             f"{PROG} COMMAND --help lists a command's options.",
         ]
     )
-
-
-def _keep_compiled() -> None:
-    """Keep compiled programs between calls, also those of processes that are started from here.
-
-    It sets the environment, before JAX is imported; variables that the user has set stay.
-    """
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path.home() / ".cache" / "pgf_jax"))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
-
-
-def _one_thread(config: Any) -> None:
-    """Keep XLA from starting threads for `planar`, whose short kernels only wait for them.
-
-    XLA reads the variable as it starts. With the threads of two cores, calls take half as long
-    again.
-    """
-    if getattr(getattr(config, "config", config), "engine", None) == "planar":
-        os.environ.setdefault("NPROC", "1")
 
 
 # --- commands -----------------------------------------------------------------------------------
@@ -179,7 +163,6 @@ def _fit_operator(config: Any) -> None:
 
 
 def _render(config: Any) -> None:
-    os.environ.setdefault("NPROC", "1")  # a plan's one rollout keeps no second thread busy
     from pgf_jax.render.command import render
 
     print(render(config))
@@ -213,11 +196,13 @@ COMMANDS = {
         "check a sweep's results, and compute some cells again",
         "pgf_jax.inspection.config:VerifyConfig",
         _verify,
+        "planar",
     ),
     "reproduce": Command(
         "compute one iteration of a sweep again: what its rollouts did",
         "pgf_jax.inspection.config:ReproduceConfig",
         _reproduce,
+        "planar",
     ),
     "console": Command(
         "guide a fleet from a browser, in real time",
@@ -248,5 +233,6 @@ COMMANDS = {
         "draw a plan, a task or a fleet, as a picture or a film",
         "pgf_jax.render.config:RenderConfig",
         _render,
+        "planar",
     ),
 }

@@ -16,6 +16,8 @@ from typing import Any
 
 import jax
 
+from pgf_jax import jax_setup
+
 PACKAGES = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "flax", "numpy")
 # Results of another release of these may differ in the last bits, and then in everything else.
 DECISIVE = ("pgf_jax", "jax", "jaxlib", "mujoco", "mujoco-mjx")
@@ -32,6 +34,13 @@ def versions() -> dict[str, str]:
 def device() -> str:
     """The device that JAX computes on: backend and kind."""
     return f"{jax.default_backend()}: {jax.devices()[0].device_kind}"
+
+
+@functools.cache
+def xla() -> dict[str, int | None]:
+    """What XLA was started with, see `jax_setup.in_force`; no result depends on it."""
+    device()  # starts it
+    return jax_setup.in_force()
 
 
 @functools.cache
@@ -86,7 +95,12 @@ def git_commit(root: Path) -> dict[str, Any] | None:
 
 
 def environment() -> dict[str, Any]:
-    """Everything here that results may depend on, as JSON."""
+    """Everything here that results may depend on, and what XLA was started with, as JSON."""
+    return {**origin(), "xla": xla()}
+
+
+def origin() -> dict[str, Any]:
+    """Everything here that results may depend on, as JSON: the same in all workers of a sweep."""
     return {
         "versions": versions(),
         "device": device(),
@@ -108,4 +122,5 @@ def host() -> dict[str, Any]:
         "pid": os.getpid(),
         "platform": platform.platform(),
         "cpus": os.cpu_count(),
+        "xla": xla(),
     }

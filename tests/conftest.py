@@ -3,14 +3,12 @@ from pathlib import Path
 
 import pytest
 
-# Before anything imports jax, and as environment, so that processes which tests start use it too.
-_CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "pgf_jax" / "tests"
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+from pgf_jax import configure
+from pgf_jax.jax_setup import VARIABLES
+
 # Workers of pytest that share a machine; one alone has all of it.
 SEVERAL = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) > 1
-if SEVERAL:
-    os.environ.setdefault("NPROC", "1")  # XLA's threads, as `pgf-jax` sets it
+configure("planar" if SEVERAL else None)  # also for the processes that tests start
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -30,6 +28,17 @@ def mjx_engine():
     from pgf_jax.physics.engine import make_engine
 
     return make_engine("mjx", lanes=2)
+
+
+@pytest.fixture(autouse=True)
+def own_environment():
+    """Undo after each test what a command sets in the environment of its process."""
+    before = {name: os.environ.get(name) for name in VARIABLES}
+    yield
+    for name, value in before.items():
+        os.environ.pop(name, None)
+        if value is not None:
+            os.environ[name] = value
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,8 +1,8 @@
 """The command line: its files, its help, and one line for every kind of bad input."""
 
+import dataclasses
 import importlib
 import json
-import os
 import re
 import subprocess
 import sys
@@ -25,13 +25,6 @@ OBJECT = (
     '<geom type="cylinder" size="0.03 0.05" mass="1"/></body>'
 )
 CENTRES = [(0.40, 0.20), (0.45, -0.20), (0.50, 0.10)]
-
-
-@pytest.fixture(autouse=True)
-def own_environment(monkeypatch, tmp_path):
-    """What `main` sets for its process is undone after each test."""
-    for name in ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
-        monkeypatch.setenv(name, "1" if name.endswith("SECS") else str(tmp_path / "cache"))
 
 
 def scene_file(path: Path, centres=CENTRES) -> Path:
@@ -517,19 +510,6 @@ def test_the_version(capsys):
     assert code == 0 and out.count(".") == 2
 
 
-def test_compiled_programs_are_kept_unless_the_user_says_where(monkeypatch, capsys):
-    seen = []
-    monkeypatch.setitem(COMMANDS, "plan", cli.Command("", COMMANDS["plan"].config, seen.append))
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
-    monkeypatch.setenv("HOME", "/home/somebody")
-    run(["plan", "--scene-class", "tight"], capsys)
-    assert cli.os.environ["JAX_COMPILATION_CACHE_DIR"] == "elsewhere"
-    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
-    run(["plan", "--scene-class", "tight"], capsys)
-    assert cli.os.environ["JAX_COMPILATION_CACHE_DIR"] == "/home/somebody/.cache/pgf_jax"
-    assert len(seen) == 2
-
-
 # --- what is written ----------------------------------------------------------------------------
 
 
@@ -589,20 +569,20 @@ def test_an_interrupted_collection_names_resume(tmp_path, monkeypatch, capsys):
     assert err.count("\n") == 1 and "--resume" in err
 
 
-def test_planar_is_started_without_xla_s_threads(monkeypatch):
+@pytest.mark.parametrize(
+    ("arguments", "engine"),
+    [
+        (["plan", "--scene-class", "tight"], "planar"),
+        (["sweep", "--engine", "mjx"], "mjx"),
+        (["verify", "results"], "planar"),
+        (["profile"], None),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_jax_is_configured_for_the_engine(arguments, engine, monkeypatch):
     seen = []
-
-    def run_command(config):
-        seen.append(os.environ.get("NPROC"))
-
-    for command in ("plan", "sweep"):
-        monkeypatch.setitem(
-            COMMANDS, command, cli.Command("", COMMANDS[command].config, run_command)
-        )
-    for arguments in (["plan", "--scene-class", "tight"], ["sweep"], ["sweep", "--engine", "mjx"]):
-        monkeypatch.delenv("NPROC", raising=False)
-        assert cli.main(arguments) == 0
-    assert seen == ["1", "1", None]
-    monkeypatch.setenv("NPROC", "3")  # set by the user
-    assert cli.main(["sweep"]) == 0
-    assert seen[-1] == "3"
+    command = dataclasses.replace(COMMANDS[arguments[0]], run=lambda config: seen.append("run"))
+    monkeypatch.setitem(COMMANDS, arguments[0], command)
+    monkeypatch.setattr(cli, "configure_early", seen.append)
+    assert cli.main(arguments) == 0
+    assert seen == [engine, "run"]

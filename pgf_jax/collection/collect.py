@@ -22,6 +22,7 @@ from pgf_jax.collection.dataset import Dataset, data_path, existing
 from pgf_jax.collection.scenes import run_scenes
 from pgf_jax.collection.sessions import replay_sessions
 from pgf_jax.errors import BadInput
+from pgf_jax.jax_setup import configure_early
 from pgf_jax.provenance import environment
 from pgf_jax.settings import check_type
 from pgf_jax.tables.runs import RUN, read_runs, write_runs
@@ -75,6 +76,7 @@ def collect(
       WorkersLost: a worker process died; the runs that had been written are kept.
     """
     check_type("config", config, CollectConfig)
+    configure_early(config.engine)
     began = time.monotonic()
     progress = on_progress or (lambda done, wanted: None)
     if config.log:

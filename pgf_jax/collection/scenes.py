@@ -14,6 +14,7 @@ from pgf_jax.errors import WorkersLost
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.policies import once_after
 from pgf_jax.guidance.operators.registry import OPERATORS, make_operator
+from pgf_jax.jax_setup import configure_early
 from pgf_jax.parallel.local import LocalPool, Stopped, WorkerDied, report, stop_requested
 from pgf_jax.physics.engine import ENGINES, default_processes
 from pgf_jax.plugins.registry import check_importable
@@ -86,6 +87,7 @@ def ask_at(config: CollectConfig, scene: Scene) -> int:
 def _run_part(part: tuple[Dataset, Sequence[int]], on_end: Callable[[int], None] = report) -> None:
     """Compute some scenes in this process, and append them in chunks."""
     dataset, numbers = part
+    configure_early(dataset.config.engine)
     indices: list[int] = []
     frames: list[pl.DataFrame] = []
 

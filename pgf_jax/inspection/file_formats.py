@@ -112,7 +112,7 @@ def plan_format() -> JsonFile:
         "segments": "executed pushes, then the best reach: kind, duration_s (s), controls "
         "([vx, vy, wz] of each knot, m/s and rad/s, along the world axes), gripper (0 open .. 255 "
         "closed, at each knot's end)",
-        "made_by": "versions, device, processor, code",
+        "made_by": "versions, device, processor, code; and options and threads of XLA",
     }
     order = ["scene", "status", *(k for k in keys if k not in ("scene", "status"))]
     return JsonFile("NAME.plan.json", "a plan", {key: keys[key] for key in order})
@@ -148,7 +148,7 @@ _JSON = [
         "how the sweep was run the last time; differs from run to run",
         {
             "out": "the folder",
-            "host": "the computer and the process",
+            "host": "the computer and the process, with options and threads of XLA",
             "workers": "number of worker processes, or the scheduler",
             "batches": "number of batches of cells",
             "cells_kept": "names of the cells that were finished before",
@@ -166,7 +166,7 @@ _JSON = [
             "bytes": "its size",
             "cell": "the cell's name",
             "session": "of the sweep, a random name",
-            "host": "the computer and the process",
+            "host": "the computer and the process, with options and threads of XLA",
             "cores": "that the process could use",
             "began": "time at which its batch began, UTC",
             "ended": "time at which it was finished, UTC",
@@ -182,7 +182,7 @@ _JSON = [
         {
             "settings": "of the session; `speed` in simulated s a s, `patience` in s",
             "identity": "everything that its events depend on, but for the person",
-            "environment": "versions, device, processor, code",
+            "environment": "versions, device, processor, code; and options and threads of XLA",
         },
     ),
 ]

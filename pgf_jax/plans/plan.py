@@ -14,7 +14,7 @@ import numpy as np
 from pgf_jax.batching.planner_service import planner_service_of
 from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.errors import BadInput, kind_of
-from pgf_jax.guidance.predictors.registry import predictor_spec
+from pgf_jax.jax_setup import configure_early
 from pgf_jax.plans.config import PlanConfig
 from pgf_jax.plans.file import Plan
 from pgf_jax.scene.scene import Scene
@@ -81,6 +81,7 @@ def iter_plans(
     check_type("config", config, PlanConfig)
     for pair in scenes:
         _check_pair(pair)
+    configure_early(config.engine)
     predictor = _load_predictor(config)
     sizes = sorted({len(scene.objects) for scene, _ in scenes})
     for n_objects in sizes:  # an engine is compiled for one number of objects
@@ -115,6 +116,8 @@ def _load_predictor(config: PlanConfig) -> GainPredictor | None:
     bids_gain = config.policy == "pgf"
     # One that is named is checked even where no robot bids: it was meant to be used.
     if bids_gain or config.predictor != "paper":
+        from pgf_jax.guidance.predictors.registry import predictor_spec  # imports Flax
+
         predictor, _ = predictor_spec(config.predictor).load()
         return predictor if bids_gain else None
     return None

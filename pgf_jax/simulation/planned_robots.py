@@ -22,7 +22,7 @@ from pgf_jax.planning.planner import Search
 from pgf_jax.planning.types import UNANSWERED, Push
 from pgf_jax.scene.scene import Scene, class_of
 from pgf_jax.simulation.search_cache import Node, SearchCache
-from pgf_jax.tables.runs import RunLog
+from pgf_jax.tables.run_log import RunLog
 
 
 @dataclasses.dataclass(frozen=True)

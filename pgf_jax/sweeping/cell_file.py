@@ -36,7 +36,7 @@ class Content:
 
     Attributes:
       tasks, events: its tables, of `TASK_SCHEMA` and `EVENT_SCHEMA`.
-      about: where they come from: `identity`, `config`, and `provenance.environment()`.
+      about: where they come from: `identity`, `config`, and `provenance.origin()`.
     """
 
     tasks: pl.DataFrame

@@ -8,6 +8,7 @@ from concurrent.futures import Executor, Future
 from typing import Any, Protocol
 
 from pgf_jax.errors import BadInput, WorkersLost
+from pgf_jax.jax_setup import one_engine
 from pgf_jax.parallel.jax_settings import jax_settings
 from pgf_jax.parallel.local import WorkerDied
 from pgf_jax.provenance import kind
@@ -161,8 +162,8 @@ class _Dispatcher:
 
     def _submit(self, batch: Batch) -> None:
         self._submitted += 1
-        environment = {"NPROC": "1"} if _is_planar(batch) else {}
-        call = WorkerCall(pickle.dumps(batch), jax_settings(), environment, self._claim)
+        engine = one_engine(cell.fleet.engine for cell in batch.cells)
+        call = WorkerCall(pickle.dumps(batch), jax_settings(), engine, self._claim)
         try:
             self._pending[self._executor.submit(compute, call)] = batch
         except RuntimeError as error:  # broken, or shut down
@@ -205,7 +206,3 @@ class _Dispatcher:
             f"the workers cannot be reached any more ({why}); what was finished is kept, --resume "
             "goes on from it"
         )
-
-
-def _is_planar(batch: Batch) -> bool:
-    return all(cell.fleet.engine == "planar" for cell in batch.cells)

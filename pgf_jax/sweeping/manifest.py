@@ -15,7 +15,7 @@ from pgf_jax.files import sha256
 from pgf_jax.fleet.config import Cell
 from pgf_jax.physics.engine import MAX_CONTACTS
 from pgf_jax.plugins.registry import plugins_record
-from pgf_jax.provenance import environment, host
+from pgf_jax.provenance import host, origin
 from pgf_jax.sweeping.cell_file import FOLDER, Content
 from pgf_jax.sweeping.config import HOW, SCENES, SweepConfig
 from pgf_jax.sweeping.resolve import FORMAT, ResolvedSweep
@@ -41,7 +41,7 @@ def about(sweep: ResolvedSweep) -> dict[str, Any]:
         "config": settings(sweep.config),
         "predictors": {name: file["sha256"] for name, file in sweep.predictor_files.items()},
         "plugins": _plugins(sweep),
-        **environment(),
+        **origin(),
     }
 
 
@@ -92,7 +92,7 @@ def manifest(
         "scenes": _scenes(sweep),
         "predictors": sweep.predictor_files,
         "plugins": _plugins(sweep),
-        **environment(),
+        **origin(),
         "origins": origins(tables.values()),
         "files": {name: sha256(data) for name, data in files.items()},
     }

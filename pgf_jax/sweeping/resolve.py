@@ -21,7 +21,7 @@ from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.physics.engine import ENGINES
 from pgf_jax.planning.config import PLANNER_REVISION
 from pgf_jax.plugins.registry import Plugin, plugins_record
-from pgf_jax.provenance import DECISIVE, device, environment, versions
+from pgf_jax.provenance import DECISIVE, device, origin, versions
 from pgf_jax.scene import Scene, load_scenes
 from pgf_jax.scene.file import read_scenes
 from pgf_jax.simulation.fleet_spec import FleetSpec, TaskScenes
@@ -80,7 +80,7 @@ class CellSpec:
             "identity": self.identity,
             "config": json.loads(json.dumps(self.settings)),
             **({"plugins": plugins_record(self.plugins)} if self.plugins else {}),
-            **json.loads(json.dumps(environment())),
+            **json.loads(json.dumps(origin())),
         }
 
 

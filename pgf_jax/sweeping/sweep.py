@@ -20,6 +20,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.files import json_bytes, png, sha256, write_atomically
 from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.metrics import CellSummary
+from pgf_jax.jax_setup import configure_early, one_engine
 from pgf_jax.parallel.cluster import open_cluster
 from pgf_jax.parallel.local import LocalPool
 from pgf_jax.plugins.digest import is_interactive
@@ -149,6 +150,7 @@ def sweeps(
     check_type("configs", configs, Sequence, expected="a list of SweepConfig")
     for config in configs:
         check_type("configs", config, SweepConfig)
+    configure_early(one_engine(config.engine for config in configs))
     configs = [_as_recorded(config) for config in configs]
     _check_together(configs)
     loaded: Loaded = {}

@@ -5,7 +5,6 @@ its cores and its environment.
 """
 
 import contextlib
-import os
 import pickle
 import sys
 import threading
@@ -13,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pgf_jax import cores
+from pgf_jax.jax_setup import configure_early
 
 if TYPE_CHECKING:
     from pgf_jax.sweeping.worker import BatchResult
@@ -24,13 +24,13 @@ class WorkerCall(NamedTuple):
     Attributes:
       batch: a pickled `Batch`; unpickling it imports JAX.
       jax: settings of JAX, see `parallel.jax_settings`.
-      environment: variables to be set unless they are.
+      engine: of its cells; None where they have several.
       claim: whether the worker has to find a core for itself.
     """
 
     batch: bytes
     jax: Mapping[str, Any]
-    environment: Mapping[str, str]
+    engine: str | None
     claim: bool
 
 
@@ -46,9 +46,7 @@ def compute(call: WorkerCall) -> "BatchResult":
     with _one_at_a_time:
         if call.claim:
             cores.claim()
-        if "jax" not in sys.modules:
-            for name, value in call.environment.items():
-                os.environ.setdefault(name, value)
+        configure_early(call.engine)
         from pgf_jax.parallel.jax_settings import adopt
 
         adopt(call.jax)

@@ -12,7 +12,7 @@ diverge; training rows that would need them are skipped and counted.
 """
 
 import enum
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,62 +52,6 @@ def runs_path(data_dir: Path | str, mode: Mode) -> Path:
     """Path of the runs of this mode, or of the forks, in a folder of collected data."""
     name = "forks.parquet" if mode == Mode.FORKS else "runs.parquet"
     return Path(data_dir) / mode / name
-
-
-class RunLog:
-    """Records one run, iteration by iteration.
-
-    Call `begin_segment` before each segment's iteration 0, `add` at the end of each iteration, and
-    `input_given` when human input arrives: before `begin_segment("push")` where it is a push,
-    before the next `add` where it is "go on reaching".
-    """
-
-    def __init__(self, *, scene: str, seed: int, scene_class: str, n_objects: int) -> None:
-        self._run = {"scene": scene, "seed": seed, "class": scene_class, "n_objects": n_objects}
-        self._segment = -1
-        self._kind = ""
-        self._asked = False
-        self._rows: list[dict[str, object]] = []
-
-    def begin_segment(self, kind: str) -> None:
-        """Begin a segment, a `reach` or a `push`; the next iteration is its iteration 0."""
-        if kind not in ("reach", "push"):
-            raise BadInput(f"a segment is a reach or a push, got {kind!r}")
-        self._segment += 1
-        self._kind = kind
-
-    def input_given(self) -> None:
-        """Record that human input is given now, before the next iteration."""
-        self._asked = True
-
-    def add(self, terms: Sequence[float], *, feasible: bool) -> None:
-        """Record an iteration that has ended.
-
-        Args:
-          terms: (c_d, c_f, c_b) of the best trajectory so far; in a push (c_h, c_f, c_b).
-          feasible: whether that trajectory is feasible.
-        """
-        if self._segment < 0:
-            raise RuntimeError("begin_segment comes before the first iteration")
-        c_d, c_f, c_b = (float(term) for term in terms)
-        self._rows.append(
-            {
-                **self._run,
-                "segment": self._segment,
-                "kind": self._kind,
-                "iteration": len(self._rows),
-                "c_d": c_d,
-                "c_f": c_f,
-                "c_b": c_b,
-                "feasible": bool(feasible),
-                "asked_before": self._asked,
-            }
-        )
-        self._asked = False
-
-    def frame(self) -> pl.DataFrame:
-        """The run so far as a table, in the columns of `runs.parquet`."""
-        return pl.DataFrame(self._rows, schema=RUN_SCHEMA)
 
 
 def write_runs(

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from pgf_jax.errors import BadInput
 from pgf_jax.files import png, write_atomically
 from pgf_jax.guidance.predictors import checkpoint as ckpt
+from pgf_jax.jax_setup import configure_early
 from pgf_jax.settings import check_type
 from pgf_jax.tables.forks import read_forks
 from pgf_jax.tables.runs import Mode, read_runs, runs_path
@@ -74,6 +75,7 @@ def train(data_dir: Path | str, out_dir: Path | str, config: TrainConfig) -> dic
       BadInput: a file is missing or malformed, or has rows of fewer than two scenes.
     """
     check_type("config", config, TrainConfig)
+    configure_early(None)
     rows: dict[str, Rows] = {}
     report: dict[str, Any] = {}
     for network, recipe in RECIPES.items():

@@ -15,12 +15,6 @@ STORED = Path(__file__).parents[2] / "experiments" / "results"
 STUDIES = ("figure6", "open_questions")
 
 
-@pytest.fixture(autouse=True)
-def own_environment(monkeypatch):
-    """Undo after each test what `study_runs` sets in the environment."""
-    monkeypatch.setenv("NPROC", "1")
-
-
 @pytest.mark.parametrize("study", STUDIES)
 def test_tables_and_figures_come_from_the_stored_rows(study, tmp_path):
     shutil.copy(STORED / f"{study}.csv", tmp_path)

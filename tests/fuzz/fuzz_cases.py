@@ -48,7 +48,8 @@ from pgf_jax.sweeping.sweep import _write_results
 from pgf_jax.tables import event_log, results
 from pgf_jax.tables.forks import FORK_SCHEMA, read_forks, write_forks
 from pgf_jax.tables.parquet import encode_table
-from pgf_jax.tables.runs import Mode, RunLog, read_runs, write_runs
+from pgf_jax.tables.run_log import RunLog
+from pgf_jax.tables.runs import Mode, read_runs, write_runs
 from pgf_jax.training.rows import autonomous_rows, gain_rows, human_rows
 
 LONGEST = 500  # characters of a message

@@ -104,8 +104,7 @@ def idle(monkeypatch) -> list[Any]:
     ran: list[Any] = []
     for name, command in cli.COMMANDS.items():
         monkeypatch.setitem(cli.COMMANDS, name, dataclasses.replace(command, run=ran.append))
-    monkeypatch.setattr(cli, "_keep_compiled", lambda: None)
-    monkeypatch.setattr(cli, "_one_thread", lambda config: None)
+    monkeypatch.setattr(cli, "configure_early", lambda engine: None)
     return ran
 
 

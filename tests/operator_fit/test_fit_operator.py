@@ -32,13 +32,6 @@ SIGMA = math.sqrt(math.log1p((SD / MEAN) ** 2))
 MU = math.log(MEAN) - SIGMA**2 / 2
 
 
-@pytest.fixture(autouse=True)
-def own_environment(monkeypatch, tmp_path):
-    """Undo after each test what `main` sets for its process."""
-    for name in ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
-        monkeypatch.setenv(name, "1" if name.endswith("SECS") else str(tmp_path / "cache"))
-
-
 @pytest.fixture
 def few_resamples(monkeypatch):
     monkeypatch.setattr(lognormal, "BOOTSTRAP", 40)

@@ -1,6 +1,6 @@
 """Runs written down by hand, for the tests of tables and training rows."""
 
-from pgf_jax.tables.runs import RunLog
+from pgf_jax.tables.run_log import RunLog
 
 
 def log(scene="a", seed=0, n_objects=20):

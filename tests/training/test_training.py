@@ -16,7 +16,8 @@ from pgf_jax.guidance.predictors.checkpoint import PAIR, load_network
 from pgf_jax.guidance.predictors.features import STATE
 from pgf_jax.guidance.predictors.network import forward, init
 from pgf_jax.tables.forks import FORK_SCHEMA, write_forks
-from pgf_jax.tables.runs import Mode, RunLog, read_runs, runs_path, write_runs
+from pgf_jax.tables.run_log import RunLog
+from pgf_jax.tables.runs import Mode, read_runs, runs_path, write_runs
 from pgf_jax.training import fit as fitting
 from pgf_jax.training.config import TrainConfig
 from pgf_jax.training.fit import fit, rmse
