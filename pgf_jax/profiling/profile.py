@@ -20,8 +20,9 @@ import jax
 from rich.console import Console
 
 from pgf_jax.cores import usable
+from pgf_jax.errors import WorkersLost
 from pgf_jax.parallel.jax_settings import jax_settings
-from pgf_jax.parallel.local import LocalPool
+from pgf_jax.parallel.local import LocalPool, WorkerDied
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import ENGINES, default_lanes, default_processes
 from pgf_jax.plugins.registry import check_importable
@@ -70,13 +71,16 @@ def profile(config: ProfileConfig) -> dict[str, Any]:
 
     Raises:
       BadInput: other processes cannot import the plugin that an engine is of.
-      WorkerDied: a measured process ended early.
+      WorkersLost: a measured process ended early.
     """
     console = Console(stderr=config.json)
     if not console.is_terminal:
         console.width = 120
-    with contextlib.ExitStack() as stack:
-        result = _Measurement(config, console, stack).result()
+    try:
+        with contextlib.ExitStack() as stack:
+            result = _Measurement(config, console, stack).result()
+    except WorkerDied as error:
+        raise WorkersLost(f"{error}, maybe for want of memory; nothing is kept") from None
     if config.json:
         sys.stdout.write(json.dumps(result, indent=2) + "\n")
     else:

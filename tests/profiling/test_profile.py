@@ -10,7 +10,7 @@ import profile_toys
 import pytest
 from rich.console import Console
 
-from pgf_jax.errors import BadInput
+from pgf_jax.errors import BadInput, WorkersLost
 from pgf_jax.profiling import profile as module
 from pgf_jax.profiling.config import ProfileConfig
 from pgf_jax.profiling.profile import profile
@@ -119,6 +119,12 @@ def test_one_core_alone_starts_nothing_on_others(monkeypatch):
             measurement._add("counted", {})  # no process starts before its first call
         assert [run.processes for run in measurement.one["counted"]] == [1, 1]
         assert [run.processes for run in measurement.every["counted"]] == processes
+
+
+def test_a_process_that_ends_is_one_line(monkeypatch):
+    monkeypatch.setattr(module.measure, "warm", profile_toys.dies)
+    with pytest.raises(WorkersLost, match=r"^a process ended early, maybe for want of memory"):
+        profile(ProfileConfig(engines=("counted",), lanes=(1,), cores=1, repeats=1))
 
 
 def test_tables_show_what_there_is(measured):
