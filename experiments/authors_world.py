@@ -27,7 +27,7 @@ from pgf_jax.physics.engine import World
 from pgf_jax.physics.hand import GRIPPER_CLOSED
 from pgf_jax.planning.config import Cost
 from pgf_jax.planning.cost import reach_distance
-from pgf_jax.profiling.profile import noisy_nominals
+from pgf_jax.profiling.measure import noisy_nominals
 
 SUBSTEP, KNOT_S = 0.0015, 0.375
 BASE = ("robot_lin_x", "robot_lin_y", "robot_ang_z")

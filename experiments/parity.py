@@ -22,7 +22,7 @@ from pgf_jax import configure, load_scene, make_engine, sample_scene
 from pgf_jax.physics.config import Physics
 from pgf_jax.physics.engine import Rollout, World
 from pgf_jax.physics.model import KINEMATIC_ARMATURE
-from pgf_jax.profiling.profile import noisy_nominals
+from pgf_jax.profiling.measure import noisy_nominals
 from pgf_jax.scene import PRESETS
 
 MOVED_M, FORCE_N = 0.005, 1.0

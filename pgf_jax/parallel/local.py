@@ -42,11 +42,14 @@ class LocalPool(Executor):
     Args:
       count: of processes.
       grace_s: how long a process may go on after its parent's death, to store what it has; s.
+      cores: numbers of the cores that they share out; None: all that this process may use.
     """
 
-    def __init__(self, count: int, *, grace_s: float = 0.0) -> None:
+    def __init__(
+        self, count: int, *, grace_s: float = 0.0, cores: Sequence[int] | None = None
+    ) -> None:
         self._count, self._grace_s = count, grace_s
-        self._cores = usable()
+        self._cores = usable() if cores is None else list(cores)
         self._threads = Threads(count, thread_name_prefix="worker")
         self._numbers = itertools.count()
         self._own = threading.local()  # of each thread: its number, and its process

@@ -44,6 +44,10 @@ class Rollout(NamedTuple):
 class Engine(Protocol):
     """Rolls out velocity controls of the hand through the planar world.
 
+    An engine may have two more methods, for figures of what its calls did since they were last
+    asked: `occupancy() -> (int, int)`, lanes of work used and computed, and `flops() -> float`,
+    floating-point operations computed (`physics/flops.py` counts those of a function).
+
     Attributes:
       name: as registered.
       physics: the constants it simulates.

@@ -10,17 +10,16 @@ from pgf_jax.settings import Bounds, Count, check_choice, check_fields
 
 @dataclasses.dataclass(frozen=True)
 class ProfileConfig:
-    """Measure the engines' speed on the same rollouts, in one run, taking turns.
+    """Measure the engines' speed on the same rollouts, on one core and on all, taking turns.
 
     Attributes:
       engines: physics engines to measure: planar (fast, disks on a plane), mjx (MuJoCo in JAX),
         native (MuJoCo in C), or registered ones.
       lanes: values of L, robots computed in one call of the engine, to try; the fastest one stands
-        for its engine.
-      cores: cores that everything is measured on; None: all. A call of planar uses one whatever
-        there is, so that "one core each" is `--cores 1`.
+        for its engine, whose settings are tried at the first. None: that of a sweep with the
+        engine, but at least 8.
+      cores: cores that are used; None: all. With 1, what engines do on all cores is not measured.
       repeats: timed calls of each engine and L; the median counts.
-      memory_lanes: the L of the call whose memory is reported.
       physics: physics constants: default, or paper (its time step, and the softness of the authors'
         contacts).
       seed: seed of scenes and noise.
@@ -28,10 +27,9 @@ class ProfileConfig:
     """
 
     engines: tuple[str, ...] = ("planar", "mjx", "native")
-    lanes: tuple[Count, ...] = (1, 8, 20, 32)
+    lanes: tuple[Count, ...] | None = None
     cores: Count | None = None
     repeats: Count = 3
-    memory_lanes: Count = 20
     physics: PhysicsName = "default"
     seed: Annotated[int, Bounds(0)] = 0
     json: bool = False

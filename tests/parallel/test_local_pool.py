@@ -90,6 +90,8 @@ def test_each_has_cores_of_its_own():
     if len(usable()) > 1:
         assert sorted(core for part in taken for core in part) == usable()
     assert all(part and set(part) <= set(usable()) for part in taken)
+    with LocalPool(1, cores=usable()[-1:]) as pool:
+        assert pool.submit(usable).result() == usable()[-1:]
 
 
 def test_they_adopt_the_settings_of_jax():

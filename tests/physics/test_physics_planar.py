@@ -255,7 +255,7 @@ def test_objects_end_where_mjx_puts_them(mjx_engine, case, rolled):
 
 def test_published_scenes(authors):
     scenes = [load_scene(p) for p in sorted((authors / "models").glob("*.xml"))[::8]]
-    from pgf_jax.profiling.profile import noisy_nominals
+    from pgf_jax.profiling.measure import noisy_nominals
 
     engine = make_engine("planar", lanes=len(scenes))
     case: Any = noisy_nominals(engine, scenes, 0)
