@@ -1,4 +1,4 @@
-"""Configures JAX for the engines: an option of XLA, its threads, and the cache of its programs.
+"""Configures JAX for the engines: options of XLA, its threads, and the cache of its programs.
 
 Nothing else in the project sets these. Importing this imports no JAX: XLA reads its options and the
 number of its threads from the environment, once, when its backend starts.
@@ -13,24 +13,33 @@ import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
-# XLA's CPU backend makes one kernel of a loop whose data are smaller than this, in bytes, in place
-# of a kernel for each step of it. `planar`, a loop of short steps, is half as fast again.
-OPTION = "xla_cpu_small_while_loop_byte_threshold"
-FLAG = f"--xla_backend_extra_options={OPTION}=1000000000"
-# Releases of jaxlib with which results are equal to the last bit with and without the option. XLA
-# says nothing of an option that it does not know, and a value that it cannot read fails every call.
+# XLA's CPU backend makes one kernel of a loop whose data are smaller than the threshold, in bytes,
+# in place of a kernel for each step of it. And LLVM unrolls short loops over lanes altogether, and
+# then finds no vectors in them. `planar`, many short loops, is three times as fast with both.
+OPTIONS = {
+    "xla_cpu_small_while_loop_byte_threshold": "1000000000",
+    "xla_cpu_disable_loop_unrolling": "true",
+}
+FLAG = "--xla_backend_extra_options"
+# Releases of jaxlib with which results were compared with and without the options: `native` and
+# `mjx` equal to the last bit, `planar` but for it, because XLA rounds products in sums once or twice
+# as its kernels are cut. So `planar` without them is another revision of it (`sweeping.resolve`).
+# XLA says nothing of an option that it does not know, and a wrong value fails every call.
 TESTED = ("0.10.2",)
 CACHE = ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
 VARIABLES = ("XLA_FLAGS", "NPROC", *CACHE)
 
 
+_wanted = True  # the options, see `as_caller`
+
+
 def configure(engine: str | None = "planar") -> None:
     """Make JAX fast for an engine; call it before the first computation.
 
-    It sets an option of XLA, keeps compiled programs in `~/.cache/pgf_jax`, and keeps XLA from
+    It sets options of XLA, keeps compiled programs in `~/.cache/pgf_jax`, and keeps XLA from
     starting threads for `planar`, whose short kernels would only wait for them. What the user has
-    set stays: `XLA_FLAGS` (the option is added), `NPROC` and the variables of JAX's cache. No
-    result changes. Where JAX has started already, a warning says what that costs, and compiled
+    set stays: `XLA_FLAGS` (options are added), `NPROC` and the variables of JAX's cache.
+    Results of `planar` change in their last bits with the options, others do not. Where JAX has started already, a warning says what that costs, and compiled
     programs are kept all the same. `pgf_jax.plan`, `sweep`, `collect`, `train` and the commands
     configure JAX themselves, unless it has started.
 
@@ -56,12 +65,26 @@ def configure_early(engine: str | None) -> None:
     if started():
         return
     flags = os.environ.get("XLA_FLAGS", "").strip()
+    # A worker has the options if its caller has them: their results are the same.
     # What does not begin with a dash is the name of a file of flags: the user's, and left alone.
-    if OPTION not in flags and (not flags or flags[0] == "-") and _is_tested():
-        os.environ["XLA_FLAGS"] = f"{flags} {FLAG}".strip()
+    ours = ",".join(f"{name}={value}" for name, value in OPTIONS.items() if name not in flags)
+    if ours and _wanted and (not flags or flags[0] == "-") and _is_tested():
+        os.environ["XLA_FLAGS"] = f"{flags} {FLAG}={ours}".strip()
     if engine == "planar":
         os.environ.setdefault("NPROC", "1")
     _keep_compiled()
+
+
+def as_caller(has_options: bool) -> None:
+    """Leave XLA's options out in this process, from now on, if its caller is without them."""
+    global _wanted
+    _wanted = has_options
+
+
+def has_options() -> bool:
+    """Whether XLA has all of the options as `configure` sets them, or will have."""
+    force = in_force()
+    return all(force[name.removeprefix("xla_cpu_")] == value for name, value in OPTIONS.items())
 
 
 def one_engine(engines: Iterable[str]) -> str | None:
@@ -77,22 +100,24 @@ def started() -> bool:
     return bridge is not None and bridge.backends_are_initialized()
 
 
-def in_force() -> dict[str, int | None]:
+def in_force() -> dict[str, str | int | None]:
     """What XLA was started with, whatever the environment says by now; after JAX has started.
 
     Returns:
-      `small_while_loop_byte_threshold`: the value of the option, None without; `threads`: of XLA's
-      pool, None where that cannot be seen (not Linux).
+      The value of each of `OPTIONS`, None without it; and `threads`: of XLA's pool, None where that
+      cannot be seen (not Linux).
     """
     from jaxlib.xla_client import CompileOptions
 
-    # A serialized map of the options: its key, then the tag and the length of the value.
-    found = re.search(OPTION.encode() + rb"\x12.(\d+)", CompileOptions().SerializeAsString(), re.S)
+    serialized = CompileOptions().SerializeAsString()
     names = [_name(thread) for thread in Path("/proc/self/task").glob("*/comm")]
-    return {
-        OPTION.removeprefix("xla_cpu_"): int(found[1]) if found else None,
-        "threads": names.count("tf_XLAEigen") if names else None,
-    }
+    values: dict[str, str | int | None] = {}
+    for name in OPTIONS:
+        # A serialized map of the options: its key, then the tag, length and text of the value.
+        found = re.search(name.encode() + rb"\x12(.)", serialized, re.S)
+        text = serialized[found.end() : found.end() + found[1][0]].decode() if found else None
+        values[name.removeprefix("xla_cpu_")] = text
+    return {**values, "threads": names.count("tf_XLAEigen") if names else None}
 
 
 def _name(thread: Path) -> str:
@@ -105,9 +130,10 @@ def _name(thread: Path) -> str:
 def _missing(engine: str | None) -> list[str]:
     """The variables that would have had to be set before JAX started."""
     force = in_force()
-    option = force["small_while_loop_byte_threshold"] is None and _is_tested()
+    absent = [name for name in OPTIONS if force[name.removeprefix("xla_cpu_")] is None]
+    flags = f"XLA_FLAGS={FLAG}=" + ",".join(f"{name}={OPTIONS[name]}" for name in absent)
     threads = engine == "planar" and "NPROC" not in os.environ and force["threads"] not in (None, 1)
-    return [f"XLA_FLAGS={FLAG}"] * option + ["NPROC=1"] * threads
+    return [flags] * bool(absent and _is_tested()) + ["NPROC=1"] * threads
 
 
 @functools.cache  # it says so once
@@ -115,8 +141,8 @@ def _is_tested() -> bool:
     version = importlib.metadata.version("jaxlib")
     if version not in TESTED:
         warnings.warn(
-            f"pgf_jax: jaxlib {version} runs without XLA's option {OPTION}, which was tested with "
-            f"{', '.join(TESTED)}: planar is slower",
+            f"pgf_jax: jaxlib {version} runs without XLA's options {', '.join(OPTIONS)}, which were "
+            f"tested with {', '.join(TESTED)}: planar is slower",
             RuntimeWarning,
             stacklevel=3,
         )

@@ -38,7 +38,7 @@ def device() -> str:
 
 @functools.cache
 def xla() -> dict[str, int | None]:
-    """What XLA was started with, see `jax_setup.in_force`; no result depends on it."""
+    """What XLA was started with, see `jax_setup.in_force`."""
     device()  # starts it
     return jax_setup.in_force()
 
@@ -112,7 +112,12 @@ def origin() -> dict[str, Any]:
 def kind() -> dict[str, str]:
     """What a worker and its caller must have in common, so that results are the same."""
     decisive = {name: versions()[name] for name in DECISIVE}
-    return {**decisive, "device": device(), "source": code()["source_sha256"]}
+    return {
+        **decisive,
+        "device": device(),
+        "source": code()["source_sha256"],
+        "xla options": "on" if jax_setup.has_options() else "off",
+    }
 
 
 def host() -> dict[str, Any]:

@@ -8,15 +8,23 @@ import sys
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 from sweep_toys import ghost
 
 import pgf_jax
 from pgf_jax import jax_setup, provenance
-from pgf_jax.jax_setup import CACHE, FLAG, OPTION, VARIABLES
+from pgf_jax.jax_setup import CACHE, OPTIONS, VARIABLES
+from pgf_jax.sweeping.config import SweepConfig
+from pgf_jax.sweeping.resolve import resolve
 from pgf_jax.sweeping.sweep import sweep
 
-TAKEN = {"XLA_FLAGS": f"--xla_backend_extra_options={OPTION}=0", "NPROC": "2"}  # by the user
+FLAG = "--xla_backend_extra_options=" + ",".join(f"{k}={v}" for k, v in OPTIONS.items())
+THRESHOLD, UNROLLING = OPTIONS
+OFF = f"--xla_backend_extra_options={THRESHOLD}=0,{UNROLLING}=false"
+TAKEN = {"XLA_FLAGS": OFF, "NPROC": "2"}  # by the user
+NAMES = [name.removeprefix("xla_cpu_") for name in OPTIONS]
+ON = dict(zip(NAMES, OPTIONS.values(), strict=True))
 
 
 @pytest.fixture
@@ -74,6 +82,10 @@ def test_what_the_user_has_set_stays(untouched):
     [
         ("--xla_cpu_enable_fast_math=false", f"--xla_cpu_enable_fast_math=false {FLAG}"),
         ("--xla_backend_extra_options=other=1", f"--xla_backend_extra_options=other=1 {FLAG}"),
+        (
+            f"--xla_backend_extra_options={THRESHOLD}=9",
+            f"--xla_backend_extra_options={THRESHOLD}=9 --xla_backend_extra_options={UNROLLING}=true",
+        ),
         ("flags.txt", "flags.txt"),  # a file of flags
     ],
 )
@@ -103,15 +115,16 @@ def test_the_installed_jaxlib_is_a_tested_one():
 @pytest.mark.parametrize(
     ("force", "missing"),
     [
-        ((None, 2), f"XLA_FLAGS={FLAG} and NPROC=1"),
-        ((10**9, 2), "NPROC=1"),
-        ((10**9, 1), None),
-        ((0, None), None),  # the user's; threads cannot be seen
+        ((None, None, 2), f"XLA_FLAGS={FLAG} and NPROC=1"),
+        (("9", None, 1), f"XLA_FLAGS=--xla_backend_extra_options={UNROLLING}=true"),
+        (("1000000000", "true", 2), "NPROC=1"),
+        (("1000000000", "true", 1), None),
+        (("0", "false", None), None),  # the user's; threads cannot be seen
     ],
 )
 def test_what_is_missing_when_jax_has_started_is_named(force, missing, untouched):
     untouched.setattr(jax_setup, "started", lambda: True)
-    names = (OPTION.removeprefix("xla_cpu_"), "threads")
+    names = (*NAMES, "threads")
     untouched.setattr(jax_setup, "in_force", lambda: dict(zip(names, force, strict=True)))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -142,7 +155,7 @@ print(json.dumps([early, started, setup.in_force(), jax.config.jax_compilation_c
 def test_it_is_in_time_after_the_import_of_jax(tmp_path):
     early, started, force, cache = python(AFTER_IMPORT, {"HOME": str(tmp_path)})
     assert early is None and started is False  # importing pgf_jax imports nothing
-    assert force == {"small_while_loop_byte_threshold": 10**9, "threads": 1}
+    assert force == {**ON, "threads": 1}
     assert cache == str(tmp_path / ".cache" / "pgf_jax")
 
 
@@ -162,7 +175,7 @@ print(json.dumps([[str(w.message) for w in said], pgf_jax.jax_setup.in_force()])
 def test_after_the_first_computation_it_says_so_and_keeps_programs(tmp_path):
     said, force = python(TOO_LATE, {"HOME": str(tmp_path), "NPROC": "2"})
     assert len(said) == 1 and f"without XLA_FLAGS={FLAG} computations" in said[0]
-    assert force == {"small_while_loop_byte_threshold": None, "threads": 2}
+    assert force == {**dict.fromkeys(NAMES), "threads": 2}
     assert any((tmp_path / ".cache" / "pgf_jax").iterdir())
 
 
@@ -178,15 +191,26 @@ print(json.dumps([[plan.to_json() for plan in plans], pgf_jax.jax_setup.in_force
 """
 
 
-def test_a_plan_is_configured_and_is_the_same_without():
+def test_a_plan_is_configured_and_differs_in_its_last_bits_without():
     cache = {name: os.environ[name] for name in CACHE}  # of the tests: to compile once
     fast, slow = python(PLAN, cache), python(PLAN, {**cache, **TAKEN})
-    assert fast[1] == {"small_while_loop_byte_threshold": 10**9, "threads": 1}
-    assert slow[1] == {"small_while_loop_byte_threshold": 0, "threads": 2}
-    assert len(fast[0][0]["history"]) > 3 and fast[0] == slow[0]  # floats to the last bit
+    assert fast[1] == {**ON, "threads": 1}
+    assert slow[1] == {NAMES[0]: "0", NAMES[1]: "false", "threads": 2}
+    histories = [[plan["history"] for plan in plans] for plans, _ in (fast, slow)]
+    assert len(histories[0][0]) > 3
+    np.testing.assert_allclose(*histories, rtol=1e-3)
 
 
-def test_workers_are_configured_where_the_caller_came_too_late(tmp_path, monkeypatch):
+def test_planar_without_the_options_is_another_revision(monkeypatch):
+    (cell,) = resolve(SweepConfig(robots=(1,), policies=("pgf",), tasks=1)).cells
+    assert cell.identity["revisions"] == {"engine": 2}
+    monkeypatch.setattr("pgf_jax.sweeping.resolve.has_options", lambda: False)
+    (other,) = resolve(SweepConfig(robots=(1,), policies=("pgf",), tasks=1)).cells
+    assert other.identity["revisions"] == {"engine": 2, "xla options": 2}
+    assert other.key != cell.key
+
+
+def test_workers_have_the_options_that_their_caller_has(tmp_path, monkeypatch):
     provenance.device()  # starts JAX here
     for name in VARIABLES:
         monkeypatch.delenv(name, raising=False)
@@ -195,7 +219,7 @@ def test_workers_are_configured_where_the_caller_came_too_late(tmp_path, monkeyp
     accounts = [json.loads(path.with_suffix(".json").read_text()) for path in done.files.values()]
     assert {account["host"]["pid"] for account in accounts}.isdisjoint({os.getpid()})
     for account in accounts:
-        assert account["host"]["xla"]["small_while_loop_byte_threshold"] == 10**9
+        assert account["host"]["xla"].items() >= ON.items()
     manifest = json.loads((tmp_path / "sweep" / "manifest.json").read_text())
     assert "xla" not in manifest  # the same whoever computes
 

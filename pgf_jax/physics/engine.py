@@ -92,6 +92,8 @@ ENGINES: Registry[Callable[..., Engine]] = Registry(
         "native": "pgf_jax.physics.native:NativeEngine",
         "planar": "pgf_jax.physics.planar.engine:PlanarEngine",
     },
+    # 2: each pair of objects once, sums in another order; objects at rest sleep between knots.
+    revisions={"planar": 2},
 )
 
 

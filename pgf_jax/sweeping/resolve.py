@@ -18,6 +18,7 @@ from pgf_jax.guidance.operators.registry import OPERATORS, check_operator, world
 from pgf_jax.guidance.predictors.checkpoint import PAIR, checkpoint_name, shipped_checkpoints
 from pgf_jax.guidance.predictors.registry import NETWORKS, PredictorSpec, predictor_spec
 from pgf_jax.guidance.predictors.true_gain import TrueGain
+from pgf_jax.jax_setup import has_options
 from pgf_jax.physics.engine import ENGINES
 from pgf_jax.planning.config import PLANNER_REVISION
 from pgf_jax.plugins.registry import Plugin, plugins_record
@@ -257,6 +258,8 @@ def _revisions(fleet: FleetSpec) -> dict[str, int]:
         parts = (*parts, (OPERATORS, fleet.operator))
     revisions = {registry.kind: registry.revision(name) for registry, name in parts}
     revisions["planner"] = PLANNER_REVISION
+    # Without the options, `planar` rounds in other places.
+    revisions["xla options"] = 2 if fleet.engine == "planar" and not has_options() else 1
     return {kind: revision for kind, revision in revisions.items() if revision > 1}
 
 

@@ -23,7 +23,10 @@ from pgf_jax.physics.planar.motion import Motion, Objects
 from pgf_jax.physics.planar.reach import Part
 
 # Classes: A objects that can move, H of them within the hand's reach; then all of N.
+# No result depends on them: a small call, which fills no chunk, has fewer programs to compile.
 SIZES = ((4, 4), (8, 6), (12, 8), (16, 10))
+FEW_SIZES = ((8, 6),)
+FEW_LANES = 2  # robots
 CHUNK = 16  # lanes that go through a knot together
 SWEEP = 5  # poses along a knot, which bound the hand's sweep
 
@@ -54,7 +57,7 @@ class PlanarEngine:
         iterations: int = 3,
         cg_iterations: int = 4,
         chunk: int = CHUNK,
-        sizes: tuple[tuple[int, int], ...] = SIZES,
+        sizes: tuple[tuple[int, int], ...] | None = None,
     ) -> None:
         self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
         self.iterations, self.cg_iterations = iterations, cg_iterations
@@ -62,6 +65,8 @@ class PlanarEngine:
         self._shape = motion.fit_shape(physics)
         self._work = np.zeros(2, np.int64)
         self._chunk = chunk
+        if sizes is None:
+            sizes = SIZES if lanes > FEW_LANES else FEW_SIZES
         self._sizes = (*(s for s in sizes if s[0] < n_objects), (n_objects, n_objects))
         # XLA's default, 256 bits, halves the speed where there are wider registers; a processor
         # without them ignores the option.
