@@ -24,7 +24,7 @@ _REDUCED = {"reduce_sum", "reduce_prod", "reduce_max", "reduce_min", "argmax", "
 _SCATTERED = {"scatter-add", "scatter-sub", "scatter-mul", "scatter-min", "scatter-max"}
 
 
-def count(fn: Callable[..., Any], *args: Any) -> float:
+def count(fn: Callable[..., Any], *args: Any, rounds: float | None = None) -> float:
     """Count the floating-point operations of `fn(*args)`.
 
     An addition, multiplication, division, root, minimum, comparison, choice or function of one
@@ -34,32 +34,34 @@ def count(fn: Callable[..., Any], *args: Any) -> float:
     Args:
       fn: a function that JAX can trace.
       args: its arguments, arrays or numbers; their values are not looked at.
+      rounds: how often loops run whose values decide it.
 
     Returns:
       The number of operations.
 
     Raises:
-      ValueError: a loop runs as often as its values decide.
+      ValueError: a loop runs as often as its values decide, and `rounds` is not given.
     """
     closed = jax.make_jaxpr(fn)(*args)
-    return _count(closed.jaxpr, dict(zip(closed.jaxpr.constvars, closed.consts, strict=True)))
+    known = dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
+    return _count(closed.jaxpr, known, rounds)
 
 
-def _count(jaxpr: Any, known: dict[Any, Any]) -> float:
+def _count(jaxpr: Any, known: dict[Any, Any], rounds: float | None) -> float:
     """Count a jaxpr's operations; `known` has the values of those variables that are constants."""
-    return sum(_of_equation(equation, known) for equation in jaxpr.eqns)
+    return sum(_of_equation(equation, known, rounds) for equation in jaxpr.eqns)
 
 
-def _of_equation(equation: Any, known: dict[Any, Any]) -> float:
+def _of_equation(equation: Any, known: dict[Any, Any], rounds: float | None) -> float:
     name, params = equation.primitive.name, equation.params
     inputs, outputs = equation.invars, equation.outvars
     if name == "scan":
-        return params["length"] * _inside(params["jaxpr"], [])
+        return params["length"] * _inside(params["jaxpr"], [], rounds)
     if name == "while":
-        return _of_while(params, [_value(atom, known) for atom in inputs])
+        return _of_while(params, [_value(atom, known) for atom in inputs], rounds)
     if name == "cond":
         values = [_value(atom, known) for atom in inputs[1:]]
-        return max(_inside(branch, values) for branch in params["branches"])
+        return max(_inside(branch, values, rounds) for branch in params["branches"])
     if name == "dot_general":
         (contracted, _), _ = params["dimension_numbers"]
         shape = inputs[0].aval.shape
@@ -80,20 +82,21 @@ def _of_equation(equation: Any, known: dict[Any, Any]) -> float:
         return _floats(inputs[2:])
     for key in ("jaxpr", "call_jaxpr", "fun_jaxpr"):  # `jit` and its like
         if key in params:
-            return _inside(params[key], [_value(atom, known) for atom in inputs])
+            return _inside(params[key], [_value(atom, known) for atom in inputs], rounds)
     return 0.0
 
 
-def _of_while(params: dict[str, Any], values: list[Any]) -> float:
+def _of_while(params: dict[str, Any], values: list[Any], rounds: float | None) -> float:
     """Count a loop that counts from a constant to a constant, as `fori_loop` makes it."""
     condition, body = params["cond_jaxpr"], params["body_jaxpr"]
     of_condition, of_body = params["cond_nconsts"], params["body_nconsts"]
     constants, carried = values[:of_condition], values[of_condition + of_body :]
     trips = _trips(condition.jaxpr, body.jaxpr, constants, carried, of_body)
+    trips = rounds if trips is None else trips
     if trips is None:
         raise ValueError("a while loop without a constant number of rounds cannot be counted")
     inside = [*values[of_condition : of_condition + of_body], *[None] * len(carried)]
-    return trips * _inside(body, inside)
+    return trips * _inside(body, inside, rounds)
 
 
 def _trips(condition: Any, body: Any, constants: list, carried: list, of_body: int) -> int | None:
@@ -127,12 +130,12 @@ def _trips(condition: Any, body: Any, constants: list, carried: list, of_body: i
     return max(int(end) - int(carried[number]), 0)
 
 
-def _inside(inner: Any, values: list[Any]) -> float:
+def _inside(inner: Any, values: list[Any], rounds: float | None) -> float:
     """Count the operations of a jaxpr that an equation holds, given the constants among inputs."""
     jaxpr = getattr(inner, "jaxpr", inner)
     known = dict(zip(jaxpr.constvars, getattr(inner, "consts", ()), strict=False))
     known |= {var: v for var, v in zip(jaxpr.invars, values, strict=False) if v is not None}
-    return _count(jaxpr, known)
+    return _count(jaxpr, known, rounds)
 
 
 def _value(atom: Any, known: dict[Any, Any]) -> Any:

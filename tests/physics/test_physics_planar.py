@@ -335,6 +335,21 @@ def test_what_is_not_wanted_costs_nothing(planar, case, rolled):
         np.testing.assert_array_equal(np.asarray(a)[wanted], b[wanted])
 
 
+def test_operations_are_counted(planar, case, rolled):
+    """More for more objects; and a call that does a third of the substeps has a third of them."""
+    few, all_of_them = planar._substep_flops
+    assert 5_000 < few < all_of_them < 200_000
+    planar.flops(), planar.occupancy()
+    planar.rollout(*case, PHYSICS.substeps)
+    _, computed = planar.occupancy()
+    whole = planar.flops()
+    assert few <= whole / (computed * PHYSICS.substeps) <= all_of_them
+    assert planar.flops() == 0
+    start, controls, gripper = case
+    planar.rollout(start, 0 * controls, gripper, PHYSICS.substeps)
+    assert planar.flops() < whole  # a hand that stands moves less
+
+
 def test_what_can_move_is_known_beforehand(case, rolled):
     """Objects that are in no list have not moved: those far from the hand stay to the bit."""
     start = case[0].objects

@@ -56,7 +56,7 @@ def build(
     vy: jax.Array,
     hand: Hand,
     near: int,
-    one: jax.Array,
+    one: jax.Array | int,
 ) -> Problem:
     """Build the rows for objects [A, C] at (x, y) m, moving with (vx, vy) m/s.
 
@@ -117,7 +117,7 @@ class Slopes(NamedTuple):
     coupling: tuple[jax.Array, jax.Array, jax.Array]  # [A, A, C] minus the blocks off the diagonal
 
 
-def slopes(c: Constants, p: Problem, wx: jax.Array, wy: jax.Array, one: jax.Array) -> Slopes:
+def slopes(c: Constants, p: Problem, wx: jax.Array, wy: jax.Array, one: jax.Array | int) -> Slopes:
     """First and second derivatives of the cost at w; `one` is 1, see `written_out`."""
     first, second = pairs(len(wx))
     ex, ey = rows(wx, first) - rows(wx, second), rows(wy, first) - rows(wy, second)
@@ -176,7 +176,7 @@ def forces(
 
 
 def _slots(
-    on: jax.Array, values: tuple[jax.Array, ...], one: jax.Array
+    on: jax.Array, values: tuple[jax.Array, ...], one: jax.Array | int
 ) -> tuple[tuple[jax.Array, ...], jax.Array]:
     """Move the rows of each object that count to the front: few of the capsules touch it.
 

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pgf_jax.physics import flops
 from pgf_jax.physics.config import Physics
 from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
 from pgf_jax.physics.planar import constants, contact, motion, reach
@@ -27,7 +28,8 @@ from pgf_jax.physics.planar.reach import Part
 SIZES = ((4, 4), (8, 6), (12, 8), (16, 10))
 FEW_SIZES = ((8, 6),)
 FEW_LANES = 2  # robots
-CHUNK = 16  # lanes that go through a knot together
+SLOTS = 3  # contacts of the hand with the object that has most, in a chunk: the usual number
+CHUNK = 16
 SWEEP = 5  # poses along a knot, which bound the hand's sweep
 
 
@@ -40,7 +42,7 @@ class _State(NamedTuple):
     part: Part  # [N, B] the objects that take part in it
     size: jax.Array  # [B] class: 0 nothing moves, k the k-th size; -1: done, or not wanted
     out: tuple[jax.Array, ...]  # Rollout's arrays but for the velocities
-    work: jax.Array  # [2] lanes of the chunks that were computed; those of them that were used
+    work: jax.Array  # lanes that were used; and those of the chunks computed, of each class
 
 
 class PlanarEngine:
@@ -63,11 +65,12 @@ class PlanarEngine:
         self.iterations, self.cg_iterations = iterations, cg_iterations
         self._constants = constants.read(physics, n_objects)
         self._shape = motion.fit_shape(physics)
-        self._work = np.zeros(2, np.int64)
+        self._used, self._computed = 0, 0
         self._chunk = chunk
         if sizes is None:
             sizes = SIZES if lanes > FEW_LANES else FEW_SIZES
         self._sizes = (*(s for s in sizes if s[0] < n_objects), (n_objects, n_objects))
+        self._substeps = np.zeros(len(self._sizes), np.int64)  # computed in each class
         # XLA's default, 256 bits, halves the speed where there are wider registers; a processor
         # without them ignores the option.
         options = {"xla_cpu_prefer_vector_width": 512} if jax.default_backend() == "cpu" else None
@@ -79,7 +82,10 @@ class PlanarEngine:
         start = World(*(jnp.asarray(a, jnp.float32) for a in start))
         controls, gripper = jnp.asarray(controls, jnp.float32), jnp.asarray(gripper, jnp.float32)
         rollout, work = self._jitted(start, controls, gripper, np.int32(substeps), wanted)
-        self._work += np.asarray(work)
+        used, *computed = np.asarray(work).tolist()  # of each class
+        self._used += used
+        self._computed += sum(computed)
+        self._substeps += substeps * np.array(computed)
         return rollout
 
     def occupancy(self) -> tuple[int, int]:
@@ -87,9 +93,28 @@ class PlanarEngine:
 
         Computed but not used are empty lanes of a chunk, and knots that had to be done again.
         """
-        computed, used = self._work
-        self._work = np.zeros(2, np.int64)
-        return int(used), int(computed)
+        work, self._used, self._computed = (self._used, self._computed), 0, 0
+        return work
+
+    def flops(self) -> float:
+        """Floating-point operations since the last call of `flops`, see `physics.flops`."""
+        done, self._substeps = self._substeps, np.zeros_like(self._substeps)
+        return float(done @ self._substep_flops)
+
+    @functools.cached_property
+    def _substep_flops(self) -> np.ndarray:
+        """Operations of a lane's substep in each class; the rest of a knot is left out."""
+
+        def zeros(*shape: int) -> jax.Array:
+            return jnp.zeros(shape)
+
+        def substep(a: int, h: int) -> float:
+            part, now = Objects(*[zeros(a, 1)] * 6), Motion(zeros(3, 1), zeros(3, 1), zeros(2, 1))
+            known = self._constants, self.physics, self._shape
+            many = h, self.iterations, self.cg_iterations
+            return flops.count(lambda: motion.knot(*known, now, 1, part, *many), rounds=SLOTS)
+
+        return np.array([substep(a, h) for a, h in self._sizes])
 
     def _rollout(self, start: World, controls, gripper, substeps: jax.Array, wanted: jax.Array):
         b, t = controls.shape[:2]
@@ -139,7 +164,7 @@ class PlanarEngine:
                 jnp.zeros((b, t, MAX_CONTACTS)),
                 jnp.zeros((b, t, MAX_CONTACTS, 2), jnp.int32),
             ),
-            jnp.zeros(2, jnp.int32),
+            jnp.zeros(1 + len(self._sizes), jnp.int32),
         )
 
         def work(state: _State) -> _State:
@@ -186,7 +211,9 @@ class PlanarEngine:
                 jax.tree.map(lambda a, v: a.at[..., lane].set(v, mode="drop"), state.part, part),
                 state.size.at[lane].set(size, mode="drop"),
                 out,
-                state.work + (kind > 0) * jnp.stack([chunk, (fine & (lane < b)).sum()]),
+                state.work.at[jnp.where(kind > 0, jnp.stack([0, kind]), len(kinds))].add(
+                    jnp.stack([(fine & (lane < b)).sum(), chunk]), mode="drop"
+                ),
             )
 
         state = jax.lax.while_loop(lambda s: (s.size >= 0).any(), work, state)

@@ -92,7 +92,7 @@ class Turn(NamedTuple):
 
 
 def hand_at(
-    physics: Physics, shape: Shape, motion: Motion, done, substeps, turn: Turn, one: jax.Array
+    physics: Physics, shape: Shape, motion: Motion, done, substeps, turn: Turn, one: jax.Array | int
 ) -> Hand:
     """The hand's capsules when `done` of the knot's `substeps` are done.
 
@@ -149,7 +149,7 @@ def knot(
     physics: Physics,
     shape: Shape,
     motion: Motion,
-    substeps: jax.Array,
+    substeps: jax.Array | int,
     objects: Objects,
     near: int,
     iterations: int,
@@ -162,7 +162,7 @@ def knot(
       (`contact.forces`).
     """
     b, dt = c.reference, c.substep_s
-    one = jnp.minimum(substeps, 1)
+    one = 1 if isinstance(substeps, int) else jnp.minimum(substeps, 1)  # see `written_out`
     # Sines in each substep would cost a tenth of it.
     by = Turn(jnp.cos(dt * motion.velocity[2]), jnp.sin(dt * motion.velocity[2]))
 

@@ -18,7 +18,7 @@ _TINY = 1e-20  # keeps 0 / 0 finite in a lane that has converged
 
 
 def solve(
-    c: Constants, p: Problem, w: Pair, iterations: int, cg_iterations: int, one: jax.Array
+    c: Constants, p: Problem, w: Pair, iterations: int, cg_iterations: int, one: jax.Array | int
 ) -> Pair:
     """Find the w ([A, C] each) that minimises the cost, from a first guess.
 
