@@ -22,7 +22,7 @@ OPTIONS = {
 }
 FLAG = "--xla_backend_extra_options"
 # Releases of jaxlib with which results were compared with and without the options: `native` and
-# `mjx` equal to the last bit, `planar` but for it, because XLA rounds products in sums once or twice
+# `mjx` equal to the last bit, `planar` but for it, as XLA rounds products in sums once or twice
 # as its kernels are cut. So `planar` without them is another revision of it (`sweeping.resolve`).
 # XLA says nothing of an option that it does not know, and a wrong value fails every call.
 TESTED = ("0.10.2",)
@@ -39,9 +39,10 @@ def configure(engine: str | None = "planar") -> None:
     It sets options of XLA, keeps compiled programs in `~/.cache/pgf_jax`, and keeps XLA from
     starting threads for `planar`, whose short kernels would only wait for them. What the user has
     set stays: `XLA_FLAGS` (options are added), `NPROC` and the variables of JAX's cache.
-    Results of `planar` change in their last bits with the options, others do not. Where JAX has started already, a warning says what that costs, and compiled
-    programs are kept all the same. `pgf_jax.plan`, `sweep`, `collect`, `train` and the commands
-    configure JAX themselves, unless it has started.
+    Results of `planar` change in their last bits with the options, others do not. Where JAX has
+    started already, a warning says what that costs, and compiled programs are kept all the same.
+    `pgf_jax.plan`, `sweep`, `collect`, `train` and the commands configure JAX themselves, unless it
+    has started.
 
     Args:
       engine: what will be computed with; None: several, or none.
@@ -141,8 +142,8 @@ def _is_tested() -> bool:
     version = importlib.metadata.version("jaxlib")
     if version not in TESTED:
         warnings.warn(
-            f"pgf_jax: jaxlib {version} runs without XLA's options {', '.join(OPTIONS)}, which were "
-            f"tested with {', '.join(TESTED)}: planar is slower",
+            f"pgf_jax: jaxlib {version} runs without XLA's options {', '.join(OPTIONS)}, "
+            f"which were tested with {', '.join(TESTED)}: planar is slower",
             RuntimeWarning,
             stacklevel=3,
         )

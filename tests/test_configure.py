@@ -84,7 +84,8 @@ def test_what_the_user_has_set_stays(untouched):
         ("--xla_backend_extra_options=other=1", f"--xla_backend_extra_options=other=1 {FLAG}"),
         (
             f"--xla_backend_extra_options={THRESHOLD}=9",
-            f"--xla_backend_extra_options={THRESHOLD}=9 --xla_backend_extra_options={UNROLLING}=true",
+            f"--xla_backend_extra_options={THRESHOLD}=9 "
+            f"--xla_backend_extra_options={UNROLLING}=true",
         ),
         ("flags.txt", "flags.txt"),  # a file of flags
     ],

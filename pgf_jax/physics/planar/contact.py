@@ -219,7 +219,7 @@ def pairs(objects: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _pairs_of(objects: int) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs that each object is in, [A, A - 1], and 1 where it is the first of them, else -1."""
+    """The pairs that each object is in, [A, A - 1], and 1 where it is their first, else -1."""
     first, second = pairs(objects)
     of = [np.flatnonzero((first == a) | (second == a)) for a in range(objects)]
     index = np.array(of, int).reshape(objects, objects - 1)
