@@ -37,7 +37,7 @@ def device() -> str:
 
 
 @functools.cache
-def xla() -> dict[str, int | None]:
+def xla() -> dict[str, str | int | None]:
     """What XLA was started with, see `jax_setup.in_force`."""
     device()  # starts it
     return jax_setup.in_force()

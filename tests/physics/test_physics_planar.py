@@ -146,7 +146,7 @@ def test_the_states_are_worth_solving(step):
 def test_mujoco_s_solution_is_the_minimum_of_our_cost(step):
     """No step along our own gradient from it lowers the cost by more than rounding would."""
     p, w = step.problem()
-    slopes = contact.slopes(CONSTANTS, p, *jnp.asarray(w), ONE)
+    slopes = contact.slopes(CONSTANTS, p, *jnp.asarray(w), one=ONE)
     gradient = np.asarray(slopes.gradient)
     scale = 1 + CONSTANTS.mass * np.linalg.norm(w, axis=(0, 1))
     assert np.median(np.linalg.norm(gradient, axis=(0, 1)) / scale) < 5e-5
@@ -182,7 +182,7 @@ def test_derivatives_are_those_of_the_cost(step):
     p, w = step.problem()
     rng = np.random.default_rng(1)
     w = w + rng.normal(0, 1, w.shape)
-    slopes = contact.slopes(CONSTANTS, p, *jnp.asarray(w), ONE)
+    slopes = contact.slopes(CONSTANTS, p, *jnp.asarray(w), one=ONE)
     along = rng.normal(0, 1, w.shape)
     epsilon = 1e-4
     numeric = (cost(p, w + epsilon * along) - cost(p, w - epsilon * along)) / (2 * epsilon)
@@ -195,8 +195,8 @@ def test_derivatives_are_those_of_the_cost(step):
     times[0] -= (hessian[0] * ax[None] + hessian[1] * ay[None]).sum(1)
     times[1] -= (hessian[1] * ax[None] + hessian[2] * ay[None]).sum(1)
     step_ = 1e-3
-    up = contact.slopes(CONSTANTS, p, *jnp.asarray(w + step_ * along), ONE).gradient
-    down = contact.slopes(CONSTANTS, p, *jnp.asarray(w - step_ * along), ONE).gradient
+    up = contact.slopes(CONSTANTS, p, *jnp.asarray(w + step_ * along), one=ONE).gradient
+    down = contact.slopes(CONSTANTS, p, *jnp.asarray(w - step_ * along), one=ONE).gradient
     off = np.abs((np.asarray(up) - np.asarray(down)) / (2 * step_) - times)
     # Where no row changes sides in between; float32.
     assert np.quantile(off, 0.9) < 0.1
@@ -339,7 +339,8 @@ def test_operations_are_counted(planar, case, rolled):
     """More for more objects; and a call that does a third of the substeps has a third of them."""
     few, all_of_them = planar._substep_flops
     assert 5_000 < few < all_of_them < 200_000
-    planar.flops(), planar.occupancy()
+    planar.flops()
+    planar.occupancy()
     planar.rollout(*case, PHYSICS.substeps)
     _, computed = planar.occupancy()
     whole = planar.flops()

@@ -244,10 +244,12 @@ def test_results_say_what_plugins_they_were_made_with(tmp_path):
 def test_what_is_built_in_is_named_by_its_revision_from_two_on(tmp_path, monkeypatch):
     from pgf_jax.sweeping.resolve import resolve
 
-    config = pgf_jax.SweepConfig(robots=(1,), policies=("or-hitl",), tasks=1, out=tmp_path)
+    config = pgf_jax.SweepConfig(
+        robots=(1,), policies=("or-hitl",), tasks=1, out=tmp_path, engine="native"
+    )
     (before,) = resolve(config).cells
     assert not {"plugins", "revisions"} & set(before.identity)
-    monkeypatch.setitem(ENGINES._revisions, "planar", 2)
+    monkeypatch.setitem(ENGINES._revisions, "native", 2)
     (after,) = resolve(config).cells
     assert after.identity == {**before.identity, "revisions": {"engine": 2}}
 

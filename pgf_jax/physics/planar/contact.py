@@ -150,8 +150,8 @@ def slopes(c: Constants, p: Problem, wx: jax.Array, wy: jax.Array, one: jax.Arra
 
     gx, gy, xx, xy, yy = written_out(one, of_objects)
     table, off = _table(len(wx))
-    blocks = tuple(rows(v, table) * jnp.asarray(off, v.dtype) for v in of_pairs[2:])
-    return Slopes((gx, gy), (xx, xy, yy), blocks)
+    kxx, kxy, kyy = (rows(v, table) * jnp.asarray(off, v.dtype) for v in of_pairs[2:])
+    return Slopes((gx, gy), (xx, xy, yy), (kxx, kxy, kyy))
 
 
 def forces(
@@ -195,7 +195,7 @@ def _slots(
         count = count + jnp.where(row, 1.0, 0.0)
         places.append(jnp.where(row, count, 0.0))  # 1.. in the order of the capsules
     place = jnp.stack(places)
-    place, *values = written_out(one, lambda: (place, *values))
+    place, values = written_out(one, lambda: (place, values))
     slots = count.max().astype(jnp.int32)
     apart = (0.0, 0.0, APART, 0.0)
 

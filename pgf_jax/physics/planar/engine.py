@@ -254,7 +254,7 @@ class PlanarEngine:
         # in front of the shelf.
         resting = part.role == reach.RESTING
         apart = -10.0 - jnp.arange(n, dtype=objects.x.dtype)[:, None]
-        away = Objects(apart, *([0.0] * 5))
+        away = still._replace(x=jnp.broadcast_to(apart, (n, c)), y=jnp.zeros_like(still.y))
         begin = jax.tree.map(lambda v, w: jnp.where(resting, w, v), objects, away)
         moved, box, force = motion.knot(
             self._constants,
