@@ -84,11 +84,9 @@ def test_a_stored_session_is_replayed():
     assert sum(event.outcome == "push" for event in log.events) == 4
     runner.run_until()
     assert runner.fleet.done
-    # It was recorded with planar 1, whose rollouts end elsewhere in the last digits: the first
-    # requests are the same events.
-    ours, (theirs,) = runner.fleet.events, log.fleets
-    assert ours[:10] == theirs[:10]
-    difference = replay_difference(ours, log)
+    # It was recorded with planar 1, whose rollouts differ in their last digits: the line says from
+    # where on the replay does.
+    difference = replay_difference(runner.fleet.events, log)
     assert difference is None or "it was recorded with" in difference
 
 
