@@ -28,7 +28,7 @@ FLAG = "--xla_backend_extra_options"
 TESTED = ("0.10.2",)
 CACHE = ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
 VARIABLES = ("XLA_FLAGS", "NPROC", *CACHE)
-
+AS_CALLER = "xla_options"  # the key under which a worker is told whether its caller has them
 
 _wanted = True  # the options, see `as_caller`
 
@@ -66,7 +66,6 @@ def configure_early(engine: str | None) -> None:
     if started():
         return
     flags = os.environ.get("XLA_FLAGS", "").strip()
-    # A worker has the options if its caller has them: their results are the same.
     # What does not begin with a dash is the name of a file of flags: the user's, and left alone.
     ours = ",".join(f"{name}={value}" for name, value in OPTIONS.items() if name not in flags)
     if ours and _wanted and (not flags or flags[0] == "-") and _is_tested():
@@ -77,7 +76,10 @@ def configure_early(engine: str | None) -> None:
 
 
 def as_caller(has_options: bool) -> None:
-    """Leave XLA's options out in this process, from now on, if its caller is without them."""
+    """Leave XLA's options out in this process if its caller is without them.
+
+    Called before JAX starts: with the same options, results are the same.
+    """
     global _wanted
     _wanted = has_options
 

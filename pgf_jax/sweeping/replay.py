@@ -100,9 +100,13 @@ def replay_difference(events: list[Event], log: EventLog) -> str | None:
     number = first_difference(events, log.events)
     if number is None:
         return None
-    versions = log.about.get("identity", {}).get("versions", {}).items()
+    identity = log.about.get("identity", {})
+    made_with = dict(identity.get("versions", {}))
+    if "engine" in identity:
+        revision = identity.get("revisions", {}).get("engine", 1)
+        made_with = {f"engine {identity['engine']}": revision} | made_with
     return f"{log.path}: the replay differs from event {number + 1} on; it was recorded with " + (
-        ", ".join(f"{name} {version}" for name, version in versions) or "other versions"
+        ", ".join(f"{name} {version}" for name, version in made_with.items()) or "other versions"
     )
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pgf_jax import cores
-from pgf_jax.jax_setup import as_caller, configure_early
+from pgf_jax.jax_setup import AS_CALLER, as_caller, configure_early
 
 if TYPE_CHECKING:
     from pgf_jax.sweeping.worker import BatchResult
@@ -46,7 +46,7 @@ def compute(call: WorkerCall) -> "BatchResult":
     with _one_at_a_time:
         if call.claim:
             cores.claim()
-        as_caller(call.jax.get("xla_options", True))
+        as_caller(call.jax[AS_CALLER])
         configure_early(call.engine)
         from pgf_jax.parallel.jax_settings import adopt
 

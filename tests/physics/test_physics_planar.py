@@ -430,7 +430,10 @@ def test_constants_come_from_the_compiled_model():
     assert c.pair_friction == 0.2
     assert c.mass == pytest.approx(m.body_mass[-1] + m.dof_armature[-1])
     assert c.reference == pytest.approx(2 / (0.3 * soft.solref_timeconst))
-    assert c.hand_friction == soft.object_friction or c.hand_friction > c.wall_friction[0]
+    of_hand = m.geom_friction[model.hand_geoms(m)[0], 0]
+    walls = [m.geom(name).friction[0] for name in ("back", "left")]
+    assert c.hand_friction == max(of_hand, 0.2)
+    assert c.wall_friction == tuple(max(of_wall, 0.2) for of_wall in walls)
     np.testing.assert_allclose(c.capsule_lengths, lengths(hand.capsule_segments(0.0)), atol=1e-9)
 
 

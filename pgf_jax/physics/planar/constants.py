@@ -12,11 +12,11 @@ from pgf_jax.errors import BadInput
 from pgf_jax.physics import model
 from pgf_jax.physics.config import Physics
 
-N_WALLS = 2  # rows: the back wall, and the side wall that is nearer
+N_WALLS = 2  # the back wall, and either side wall: they are alike
 
 
 class Constants(NamedTuple):
-    """Numbers of one compiled model. An object has G rows: C capsules, then `N_WALLS` walls."""
+    """Numbers of one compiled model; C capsules."""
 
     substep_s: float
     mass: float  # with armature, kg
@@ -85,6 +85,9 @@ def read(physics: Physics, n_objects: int) -> Constants:
             for g, friction in zip(ground, frictions, strict=True)
         ]
     )
+    # The bodies of the kinematic hand differ in the seventh digit.
+    if np.ptp(weights[:-N_WALLS]) > 1e-5 * weights[0]:
+        raise BadInput("engine planar: the hand's bodies must have the same inverse weight")
     dof_weight = one("dof inverse weight", m.dof_invweight0[dofs])
     return Constants(
         substep_s=m.opt.timestep,
@@ -102,7 +105,6 @@ def read(physics: Physics, n_objects: int) -> Constants:
         capsule_radii=m.geom_size[capsules, 0].copy(),
         capsule_lengths=2 * m.geom_size[capsules, 1],
         hand_friction=one("hand friction", frictions[:-N_WALLS]),
-        # The bodies of the kinematic hand differ in the seventh digit.
         hand_weight=float(weights[0]),
         wall_friction=(float(frictions[-2]), float(frictions[-1])),
         wall_weight=(float(weights[-2]), float(weights[-1])),

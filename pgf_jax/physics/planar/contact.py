@@ -39,7 +39,7 @@ class Problem(NamedTuple):
 
     free: Pair  # [A, C] w without any constraint, m/s^2
     friction: Pair  # [A, C] what joint friction adds to w
-    hand: tuple[jax.Array, ...]  # [G, H, C] each, see `HandRows`
+    hand: tuple[jax.Array, ...]  # [G, H, C] unit normals towards the object x, y; parts of P and Q
     slots: jax.Array  # [] how many of the G are in use in this chunk
     back_p: jax.Array  # [A, C] of the back wall, whose normal is -x
     side_p: jax.Array  # [A, C] of the side wall that is nearer
@@ -119,13 +119,9 @@ class Slopes(NamedTuple):
 
 def slopes(c: Constants, p: Problem, wx: jax.Array, wy: jax.Array, one: jax.Array | int) -> Slopes:
     """First and second derivatives of the cost at w; `one` is 1, see `written_out`."""
-    first, second = pairs(len(wx))
-    ex, ey = rows(wx, first) - rows(wx, second), rows(wy, first) - rows(wy, second)
-    nx, ny = p.pair_n
-    P, Q = nx * ex + ny * ey + p.pair_p, c.pair_friction * (nx * ey - ny * ex)
-    of_pairs = written_out(
-        one, lambda: _turned(nx, ny, *_edges(P, Q, c.pair_friction, c.pair_weight))
-    )
+    P, Q = _pair_values(c, p, wx, wy)
+    edges = _edges(P, Q, c.pair_friction, c.pair_weight)
+    of_pairs = written_out(one, lambda: _turned(*p.pair_n, *edges))
     of_hand = _of_hand(c, p, wx, wy)
 
     def of_objects():
@@ -140,17 +136,17 @@ def slopes(c: Constants, p: Problem, wx: jax.Array, wy: jax.Array, one: jax.Arra
         total = _add(total, _of_walls(c, p, wx, wy))
         # An object's pairs one after another, so that the sum stays in registers; the gradient's
         # sign is that of the first.
-        index, sign = _pairs_of(len(wx))
-        for k in range(index.shape[1]):
-            gx, gy, *h = (rows(v, index[:, k]) for v in of_pairs)
-            turn = jnp.asarray(sign[:, k, None], gx.dtype)
+        for pair, sign in zip(*_pairs_of(len(wx)), strict=True):
+            gx, gy, *h = (rows(v, pair) for v in of_pairs)
+            turn = jnp.asarray(sign[:, None], gx.dtype)
             total = _add(total, (turn * gx, turn * gy, *h))
         rest = ((0, len(wx) - len(of_hand[0])), (0, 0))
         return _add(total, tuple(jnp.pad(v, rest) for v in of_hand))
 
     gx, gy, xx, xy, yy = written_out(one, of_objects)
-    table, off = _table(len(wx))
-    kxx, kxy, kyy = (rows(v, table) * jnp.asarray(off, v.dtype) for v in of_pairs[2:])
+    table = _table(len(wx))
+    two = jnp.asarray(1 - np.eye(len(wx))[..., None], wx.dtype)  # nothing couples one with itself
+    kxx, kxy, kyy = (rows(v, table) * two for v in of_pairs[2:])
     return Slopes((gx, gy), (xx, xy, yy), (kxx, kxy, kyy))
 
 
@@ -167,11 +163,7 @@ def forces(
         back * _force(p.back_p - wx, mu_back * wy, mu_back),
         side * _force(p.side_p - p.side * wy, mu_side * wx, mu_side),
     )
-    first, second = pairs(len(wx))
-    ex, ey = rows(wx, first) - rows(wx, second), rows(wy, first) - rows(wy, second)
-    nx, ny = p.pair_n
-    mu = c.pair_friction
-    by_pairs = _force(nx * ex + ny * ey + p.pair_p, mu * (nx * ey - ny * ex), mu)
+    by_pairs = _force(*_pair_values(c, p, wx, wy), c.pair_friction)
     return c.hand_weight * by_hand, jnp.stack(by_walls), c.pair_weight * by_pairs
 
 
@@ -218,20 +210,27 @@ def pairs(objects: int) -> tuple[np.ndarray, np.ndarray]:
     return first, second
 
 
-def _pairs_of(objects: int) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs that each object is in, [A, A - 1], and 1 where it is their first, else -1."""
-    first, second = pairs(objects)
-    of = [np.flatnonzero((first == a) | (second == a)) for a in range(objects)]
-    index = np.array(of, int).reshape(objects, objects - 1)
-    return index, np.where(first[index] == np.arange(objects)[:, None], 1.0, -1.0)
-
-
-def _table(objects: int) -> tuple[np.ndarray, np.ndarray]:
-    """The pair of any two objects, [A, A], and 1 where they are two ([A, A, 1]), else 0."""
+def _table(objects: int) -> np.ndarray:
+    """The pair of any two objects, [A, A]; the diagonal is no pair."""
     table = np.zeros((objects, objects), int)
     first, second = pairs(objects)
     table[first, second] = table[second, first] = np.arange(len(first))
-    return table, 1.0 - np.eye(objects)[..., None]
+    return table
+
+
+def _pairs_of(objects: int) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs that each object is in, [A - 1, A], and 1 where it is their first, else -1."""
+    index = _table(objects)[~np.eye(objects, dtype=bool)].reshape(objects, objects - 1)
+    first, _ = pairs(objects)
+    return index.T, np.where(first[index] == np.arange(objects)[:, None], 1.0, -1.0).T
+
+
+def _pair_values(c: Constants, p: Problem, wx: jax.Array, wy: jax.Array) -> Pair:
+    """P and Q of the pairs, [T, C] each."""
+    first, second = pairs(len(wx))
+    ex, ey = rows(wx, first) - rows(wx, second), rows(wy, first) - rows(wy, second)
+    nx, ny = p.pair_n
+    return nx * ex + ny * ey + p.pair_p, c.pair_friction * (nx * ey - ny * ex)
 
 
 def _of_hand(c: Constants, p: Problem, wx: jax.Array, wy: jax.Array) -> tuple:

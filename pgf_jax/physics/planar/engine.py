@@ -1,11 +1,11 @@
 """Engine `planar`: one jitted program that computes only the objects that can move.
 
 A lane is one rollout, and its unit of work is a knot. Before a knot the lane gets a class: the
-smallest size A that holds all objects that can move in the knot (`reach`). Then as many lanes as
-fill a chunk, all of one class but each at its own knot, go through their knots together, with A
-objects each. Afterwards the engine checks that no other object was touched; a lane that fails this
-check does the knot again, with the touched objects. So a lane's result depends on its own state
-alone, and equals that of the full problem.
+smallest one with room for all objects that can move in the knot, and for those near the hand
+(`reach`). Then as many lanes as fill a chunk, of that class or smaller ones and each at its own
+knot, go through their knots together. Afterwards the engine checks that nothing else was touched; a
+lane that fails this check does the knot again, with what was touched. So a lane's result depends on
+its own state alone, to the last bit, and is that of the full problem.
 """
 
 import functools
@@ -28,8 +28,10 @@ from pgf_jax.physics.planar.reach import Part
 SIZES = ((4, 4), (8, 6), (12, 8), (16, 10))
 FEW_SIZES = ((8, 6),)
 FEW_LANES = 2  # robots
-SLOTS = 3  # contacts of the hand with the object that has most, in a chunk: the usual number
-CHUNK = 16
+CHUNK = 16  # lanes that go through a knot together
+# Rows of the hand that a substep looks at (`contact._slots`), for counting operations: the mean of
+# the calls that `profile` makes with 32 robots.
+SLOTS = 3.6
 SWEEP = 5  # poses along a knot, which bound the hand's sweep
 
 
@@ -39,7 +41,7 @@ class _State(NamedTuple):
     objects: Objects  # [N, B] each
     pose: jax.Array  # [3, B]
     knot: jax.Array  # [B] number of the next knot
-    part: Part  # [N, B] the objects that take part in it
+    part: Part  # [..., B] the objects that take part in it
     size: jax.Array  # [B] class: 0 nothing moves, k the k-th size; -1: done, or not wanted
     out: tuple[jax.Array, ...]  # Rollout's arrays but for the velocities
     work: jax.Array  # lanes that were used; and those of the chunks computed, of each class
