@@ -23,9 +23,9 @@ from pgf_jax.physics.planar.contact import Hand
 from pgf_jax.physics.planar.motion import Motion, Objects
 from pgf_jax.physics.planar.reach import Part
 
-# Classes: A objects that can move, H of them within the hand's reach; then all of N.
+# Classes: A objects that can move, H of them within the hand's reach, as far as A < N; then all N.
 # No result depends on them: a small call, which fills no chunk, has fewer programs to compile.
-SIZES = ((4, 4), (8, 6), (12, 8), (16, 10))
+SIZES = ((4, 4), (8, 6), (12, 8), (16, 10), (22, 12), (30, 14))
 FEW_SIZES = ((8, 6),)
 FEW_LANES = 2  # robots
 CHUNK = 16  # lanes that go through a knot together
