@@ -1,0 +1,89 @@
+"""The world `solid`: a shelf in three dimensions of our own, and a hand that is driven as a robot's.
+
+Base and fingers follow their commanded velocities, and contacts feel these velocities: none of the
+artefacts of the published simulation, where the fingers' poses are set and their velocities are not.
+"""
+
+# MuJoCo's compiled modules come without type stubs.
+# pyright: reportAttributeAccessIssue=false
+
+import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from pgf_jax.physics import hand
+from pgf_jax.physics.engine import World
+from pgf_jax.physics.worlds.solid_model import Solid, compile_model
+from pgf_jax.physics.worlds.world import State, World3D
+from pgf_jax.scene.scene import HEIGHT, Scene
+
+_BASE = slice(0, 3)  # x, y, yaw of the base, in qpos and qvel
+_SLIP = slice(3, 6)  # x, y, yaw of the hand on the base
+
+
+class SolidWorld(World3D):
+    """The solid world of N objects.
+
+    Args:
+      n_objects: N.
+      solid: its constants; None: the default ones.
+    """
+
+    name = "solid"
+
+    def __init__(self, n_objects: int, solid: Solid | None = None) -> None:
+        self.solid = solid or Solid()
+        super().__init__(copy.copy(compile_model(self.solid, n_objects)), n_objects)
+        links = [self.model.joint(name) for name in hand.LINKS]
+        self._link_qpos = np.array([joint.qposadr[0] for joint in links])
+        self._link_qvel = np.array([joint.dofadr[0] for joint in links])
+        # The table has the turns of the links, a joint's angle is relative to its parent.
+        turns = {None: 0.0} | {name: link.angle for name, link in hand.LINKS.items()}
+        closed = [turns[name] - turns[link.parent] for name, link in hand.LINKS.items()]
+        self._closed = np.array(closed)  # [links] angles of the closed hand, rad
+
+    def start(self, scene: Scene) -> State:
+        """See `World3D.start`."""
+        n = self.n_objects
+        still = World(scene.positions, np.zeros((n, 2)), np.zeros(3), 0.0)
+        return self.state_of(still)
+
+    def state_of(self, seen: World) -> State:
+        """A state that looks like that from above (unbatched): all objects stand."""
+        data = mujoco.MjData(self.model)
+        data.qpos[self._qpos] = [0, 0, HEIGHT / 2, 1, 0, 0, 0]
+        data.qpos[self._qpos[:, :2]] = seen.objects
+        data.qvel[self._qvel[:, :2]] = seen.velocities
+        data.qpos[_BASE] = seen.hand
+        data.qpos[self._link_qpos] = self._angles(float(seen.gripper))
+        mujoco.mj_forward(self.model, data)
+        return State(data, float(seen.gripper))
+
+    def _robot(self) -> int:
+        return self.model.body("base").id
+
+    def _angles(self, gripper: float) -> np.ndarray:
+        return self._closed * gripper / hand.GRIPPER_CLOSED
+
+    def _drive(
+        self, data: Any, velocity: np.ndarray, gripper: tuple[float, float], seconds: float
+    ) -> None:
+        # 1 s is no whole number of steps: velocities are such that the way is the commanded one.
+        steps = max(1, round(seconds / self.solid.step_s))
+        simulated_s = steps * self.solid.step_s
+        # The armature keeps these velocities through the knot. The angles are set only so that
+        # rounding does not add up.
+        before, after = (self._angles(value) for value in gripper)
+        data.qpos[self._link_qpos] = before
+        data.qvel[_BASE] = velocity * (seconds / simulated_s)
+        data.qvel[self._link_qvel] = (after - before) / simulated_s
+        mujoco.mj_step(self.model, data, steps)
+        mujoco.mj_kinematics(self.model, data)
+
+    def _hand(self, data: Any) -> np.ndarray:
+        slip, base = data.qpos[_SLIP], data.qpos[_BASE]
+        c, s = np.cos(base[2]), np.sin(base[2])
+        x, y = slip[:2]
+        return base + [c * x - s * y, s * x + c * y, slip[2]]

@@ -1,0 +1,162 @@
+"""The MJCF of the solid world: table and walls, upright cylinders, and the hand in its links.
+
+The plane of the table is z = 0. An object is a cylinder, which stands on the table, with a sphere
+of the cylinder's radius at two heights, which meet hand, walls and other objects: at these heights
+they are the cylinder's cross-section as long as it stands, and contacts of spheres are exact and
+cheap, where those of two cylinders that touch along a line are neither.
+
+The hand is the capsule table of `hand.py`, each capsule extruded to the gripper's height: a box
+with rounded ends. Links turn about their joints. The base follows its commanded velocity whatever
+the contacts do, and carries the hand by a drive that slips at a force that stalls a robot arm: a
+hand that squeezes objects against a wall stops, where a kinematic one would go through them.
+"""
+
+# MuJoCo's compiled modules come without type stubs.
+# pyright: reportAttributeAccessIssue=false
+
+import dataclasses
+import functools
+
+import mujoco
+import numpy as np
+
+from pgf_jax.physics import hand
+from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, HEIGHT, RADIUS, SIDE_WALL_Y
+
+ARMATURE = 1e6  # of driven joints, kg or kg m^2: 100 N change a velocity by 4e-5 m/s within a knot
+# The solver measures its progress against the mean inertia, of which the armature is most.
+TOLERANCE = 1e-8 / ARMATURE
+
+
+@dataclasses.dataclass(frozen=True)
+class Solid:
+    """Constants of the solid world.
+
+    Attributes:
+      step_s: of the simulation, s; a hundred in a knot.
+      timeconst_s: of contacts, s: how fast an overlap is undone. At least two steps.
+      mass_kg: of an object.
+      table_friction, object_friction, hand_friction, wall_friction: coefficients of an object
+        against the table, other objects, the hand, the walls.
+      reach_m: half the height of the hand's links, whose middle is that of the objects; the
+        spheres of an object are at its upper and lower end.
+      stall_n, stall_nm: force and torque at which the drive slips, N, N m.
+      hand_kg: of the hand, which moves when the drive slips.
+    """
+
+    step_s: float = 0.00375
+    timeconst_s: float = 0.01
+    mass_kg: float = 1.0
+    table_friction: float = 0.5
+    object_friction: float = 0.3
+    hand_friction: float = 0.5
+    wall_friction: float = 0.5
+    reach_m: float = 0.02
+    stall_n: float = 150.0
+    stall_nm: float = 20.0
+    hand_kg: float = 10.0
+
+
+def mjcf(solid: Solid, n_objects: int) -> str:
+    """Write the model as MJCF text; a world sets the objects' positions."""
+    # Half sizes of the side walls, which begin at the shelf's front: a hand may pass before it.
+    depth, thick = (BACK_WALL_X - FRONT_X) / 2, 0.05
+    drive = 'solreffriction="0.0075 1" solimpfriction="0.999 0.999"'
+    objects = "\n    ".join(
+        f'<body name="object_{i + 1}" pos="0 0 {HEIGHT / 2}"><freejoint/>'
+        f'<geom class="base"/><geom class="side" pos="0 0 {solid.reach_m}"/>'
+        f'<geom class="side" pos="0 0 {-solid.reach_m}"/></body>'
+        for i in range(n_objects)
+    )
+    links = "".join(_link(name, solid) for name, one in hand.LINKS.items() if one.parent is None)
+    return f"""
+<mujoco model="solid">
+  <compiler angle="radian"/>
+  <option timestep="{solid.step_s!r}" cone="elliptic" jacobian="sparse" tolerance="{TOLERANCE}">
+    <flag sleep="enable"/>
+  </option>
+  <default>
+    <geom condim="3" solref="{solid.timeconst_s} 1" mass="0"/>
+    <default class="base">
+      <geom type="cylinder" size="{RADIUS} {HEIGHT / 2}" mass="{solid.mass_kg}" contype="1"
+            conaffinity="0"/>
+    </default>
+    <default class="side">
+      <geom type="sphere" size="{RADIUS}" contype="2" conaffinity="2"
+            friction="{solid.object_friction}"/>
+    </default>
+    <default class="hand">
+      <geom contype="2" conaffinity="4" priority="1" friction="{solid.hand_friction}"/>
+      <joint armature="{ARMATURE}"/>
+    </default>
+    <default class="wall">
+      <geom contype="6" conaffinity="0" priority="1" friction="{solid.wall_friction}"/>
+    </default>
+  </default>
+  <worldbody>
+    <geom name="table" type="plane" size="2 2 .1" contype="0" conaffinity="1" priority="1"
+          friction="{solid.table_friction}"/>
+    <geom class="wall" name="back" type="plane" size="1 1 .1" pos="{BACK_WALL_X} 0 0"
+          zaxis="-1 0 0"/>
+    <geom class="wall" name="left" type="box" size="{depth} {thick} 0.2"
+          pos="{FRONT_X + depth} {SIDE_WALL_Y + thick} 0.2"/>
+    <geom class="wall" name="right" type="box" size="{depth} {thick} 0.2"
+          pos="{FRONT_X + depth} {-SIDE_WALL_Y - thick} 0.2"/>
+    <body name="base" sleep="never">
+      <inertial pos="0 0 0" mass="124" diaginertia="1 1 1"/>
+      <joint class="hand" name="x" type="slide" axis="1 0 0"/>
+      <joint class="hand" name="y" type="slide" axis="0 1 0"/>
+      <joint class="hand" name="yaw" type="hinge" axis="0 0 1"/>
+      <body name="palm">
+        <inertial pos="0 0 0" mass="{solid.hand_kg}" diaginertia="1 1 {solid.hand_kg / 100}"/>
+        <joint type="slide" axis="1 0 0" frictionloss="{solid.stall_n}" {drive}/>
+        <joint type="slide" axis="0 1 0" frictionloss="{solid.stall_n}" {drive}/>
+        <joint type="hinge" axis="0 0 1" frictionloss="{solid.stall_nm}" {drive}/>
+        {_geoms("palm", np.zeros(2), solid)}
+        {links}
+      </body>
+    </body>
+    {objects}
+  </worldbody>
+</mujoco>"""
+
+
+def _link(name: str, solid: Solid) -> str:
+    """A link of the open hand on its joint, with the links that it carries."""
+    link = hand.LINKS[name]
+    origin = hand.LINKS[link.parent].joint if link.parent else (0.0, 0.0)
+    x, y = np.subtract(link.joint, origin)
+    carried = "".join(_link(other, solid) for other, o in hand.LINKS.items() if o.parent == name)
+    return f"""<body name="{name}" pos="{x} {y} 0">
+      <inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>
+      <joint class="hand" name="{name}" type="hinge" axis="0 0 1"/>
+      {_geoms(name, np.array(link.joint), solid)}{carried}</body>"""
+
+
+def _geoms(owner: str, origin: np.ndarray, solid: Solid) -> str:
+    """The capsules of a link, each as a box with rounded ends, relative to the link's joint."""
+    texts = []
+    for capsule, ends, radius in zip(
+        hand.CAPSULES, hand.capsule_segments(0.0), hand.RADII, strict=True
+    ):
+        if capsule[0] != owner:
+            continue
+        a, b = ends - origin
+        x, y = (a + b) / 2
+        length, yaw = np.linalg.norm(b - a), np.arctan2(*(b - a)[::-1])
+        z, h = HEIGHT / 2, solid.reach_m
+        texts.append(
+            f'<geom class="hand" type="box" size="{length / 2} {radius} {h}" pos="{x} {y} {z}"'
+            f' euler="0 0 {yaw}"/>'
+        )
+        texts += [
+            f'<geom class="hand" type="capsule" size="{radius} {h}" pos="{x} {y} {z}"/>'
+            for x, y in (a, b)
+        ]
+    return "\n        ".join(texts)
+
+
+@functools.lru_cache(maxsize=8)
+def compile_model(solid: Solid, n_objects: int) -> mujoco.MjModel:
+    """Compile the model, once per settings; copy the result before you change it."""
+    return mujoco.MjModel.from_xml_string(mjcf(solid, n_objects))

@@ -1,0 +1,204 @@
+"""What a world in three dimensions is: it starts from a scene, and executes segments one by one.
+
+A world differs from an engine in three ways. It keeps its whole state from one segment to the next
+(warm start of the solver and sleep of the bodies included). It is exact rather than fast: MuJoCo's
+C engine in float64. And it judges: how far from the goal a hand ended, what tipped, what it touched.
+"""
+
+# MuJoCo's compiled modules come without type stubs.
+# pyright: reportAttributeAccessIssue=false
+
+import abc
+import concurrent.futures
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from pgf_jax import cores
+from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
+from pgf_jax.physics.hand import POINTING_YAW
+from pgf_jax.scene.scene import Scene
+
+RETREAT_M, RETREAT_S = 0.07, 1.0  # straight back after a push or a miss, hand unchanged
+_STANDS_ON = 0.7  # a contact whose normal is that steep is with what an object stands on
+
+
+class State(NamedTuple):
+    """The whole state of a world; opaque, and never changed: a world executes on a copy."""
+
+    data: Any  # MjData
+    gripper: float  # 0 open .. 255 closed
+
+
+class Executed(NamedTuple):
+    """What happened when a segment was executed.
+
+    Attributes:
+      rollout: seen from above: [T, N, 2] centres at the knots' ends and so on, float64; contacts of
+        each pair of bodies as one, with the magnitude of the pair's whole force.
+      state: at the end; None where it was not asked for.
+      upright: the smallest cosine between an object's axis and the vertical at the knots' ends: 1
+        while all stand.
+      touched: whether the robot touched the shelf at a knot's end.
+    """
+
+    rollout: Rollout
+    state: State | None
+    upright: float
+    touched: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Command:
+    """A segment to execute.
+
+    Attributes:
+      state: where it starts.
+      controls: [T, 3] velocities of the hand along the world's axes, m/s, m/s, rad/s.
+      gripper: [T] value that each knot moves to, linearly within the knot.
+      seconds: of all knots together.
+      keep: whether the state at the end is wanted.
+    """
+
+    state: State
+    controls: np.ndarray
+    gripper: np.ndarray
+    seconds: float
+    keep: bool = False
+
+
+class World3D(abc.ABC):
+    """A world of N objects. Subclasses say how it starts, and how the robot in it is driven.
+
+    Args:
+      model: MuJoCo's; `object_1` .. `object_N` are bodies on free joints.
+      n_objects: N.
+    """
+
+    name: str
+
+    def __init__(self, model: mujoco.MjModel, n_objects: int) -> None:
+        self.model, self.n_objects = model, n_objects
+        bodies = [model.body(f"object_{i + 1}").id for i in range(n_objects)]
+        self._objects = np.array(bodies)
+        address = model.jnt_qposadr[model.body_jntadr[bodies]]
+        self._qpos = address[:, None] + np.arange(7)  # [N, 7] of each object's pose
+        self._qvel = model.jnt_dofadr[model.body_jntadr[bodies]][:, None] + np.arange(6)
+        # 0..N-1 an object, N the robot, N+1 the shelf, as in `Rollout`.
+        self._codes = np.full(model.nbody, n_objects + 1, np.int32)
+        self._codes[bodies] = np.arange(n_objects)
+        robot = [model.body_rootid[b] == self._robot() for b in range(model.nbody)]
+        self._codes[np.array(robot)] = n_objects
+        # A diverged state stays; MuJoCo would reset it to the model's initial state.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+
+    @abc.abstractmethod
+    def start(self, scene: Scene) -> State:
+        """The state before a scene's task: objects stand, the hand is open in front of the shelf."""
+
+    @abc.abstractmethod
+    def _robot(self) -> int:
+        """The body that is the root of the robot."""
+
+    @abc.abstractmethod
+    def _drive(
+        self, data: Any, velocity: np.ndarray, gripper: tuple[float, float], seconds: float
+    ) -> None:
+        """Simulate one knot: the hand's velocity, and the gripper's values before and after."""
+
+    @abc.abstractmethod
+    def _hand(self, data: Any) -> np.ndarray:
+        """[3] pose of the hand: base x, y (m) and yaw (rad)."""
+
+    def execute(self, command: Command) -> Executed:
+        """Execute a segment on a copy of the state in which it starts."""
+        state, n, t = command.state, self.n_objects, len(command.controls)
+        data = self._copy(state.data)
+        objects, hands = np.empty((t, n, 2)), np.empty((t, 3))
+        force, bodies = np.zeros((t, MAX_CONTACTS)), np.zeros((t, MAX_CONTACTS, 2), np.int32)
+        before, upright, touched = state.gripper, 1.0, False
+        for k in range(t):
+            now = float(command.gripper[k])
+            self._drive(data, command.controls[k], (before, now), command.seconds / t)
+            before = now
+            objects[k], hands[k] = data.xpos[self._objects, :2], self._hand(data)
+            upright = min(upright, float(data.xmat[self._objects, 8].min()))
+            touched |= self._contacts(data, force[k], bodies[k])
+        velocities = data.qvel[self._qvel[:, :2]].copy()
+        rollout = Rollout(objects, hands, velocities, force, bodies)
+        end = State(data, before) if command.keep else None
+        return Executed(rollout, end, upright, touched)
+
+    def execute_all(self, commands: Sequence[Command]) -> list[Executed]:
+        """Execute segments side by side on the cores; each result is that of `execute`."""
+        return execute_all([(self, command) for command in commands])
+
+    def retreat(self, state: State) -> Executed:
+        """Retract the hand 0.07 m straight back in 1 s, with the gripper as it is."""
+        yaw = self._hand(state.data)[2] + POINTING_YAW
+        back = -RETREAT_M / RETREAT_S * np.array([[np.cos(yaw), np.sin(yaw), 0.0]])
+        gripper = np.array([state.gripper])
+        return self.execute(Command(state, back, gripper, RETREAT_S, keep=True))
+
+    def seen(self, state: State) -> World:
+        """The state as a planner in the plane sees it; an object that has toppled is a disk too.
+
+        Returns:
+          [N, 2] centres and velocities, [3] hand pose, [] gripper: float32, unbatched.
+        """
+        data = state.data
+        values = (
+            data.xpos[self._objects, :2],
+            data.qvel[self._qvel[:, :2]],
+            self._hand(data),
+            state.gripper,
+        )
+        return World(*(np.array(value, np.float32) for value in values))
+
+    def _copy(self, data: Any) -> Any:
+        copy = mujoco.MjData(self.model)
+        mujoco.mj_copyData(copy, self.model, data)
+        return copy
+
+    def _contacts(self, data: Any, force: np.ndarray, bodies: np.ndarray) -> bool:
+        """Fill in the strongest contacts; returns whether robot and shelf touch.
+
+        Contacts of the same two bodies are one, with the magnitude of their sum. Contacts with what
+        an object stands on are left out.
+        """
+        n = self.n_objects
+        sums: dict[tuple[int, int], np.ndarray] = {}
+        touched, wrench = False, np.zeros(6)
+        for c in range(data.ncon):
+            contact = data.contact[c]
+            pair = self._codes[self.model.geom_bodyid[contact.geom]]
+            first, second = sorted(int(code) for code in pair)
+            touched |= (first, second) == (n, n + 1)
+            frame = contact.frame.reshape(3, 3)
+            if first >= n or (second > n and abs(frame[0, 2]) > _STANDS_ON):
+                continue
+            mujoco.mj_contactForce(self.model, data, c, wrench)
+            # Turned so that it acts on the second body, in the world's axes.
+            sign = 1.0 if int(pair[0]) == first else -1.0
+            sums.setdefault((first, second), np.zeros(3))
+            sums[first, second] += sign * (frame.T @ wrench[:3])
+        strongest = sorted(sums.items(), key=lambda item: -float(np.linalg.norm(item[1])))
+        for slot, (pair, total) in enumerate(strongest[: len(force)]):
+            force[slot], bodies[slot] = np.linalg.norm(total), pair
+        return touched
+
+
+def execute_all(commands: Sequence[tuple[World3D, Command]]) -> list[Executed]:
+    """Execute segments in their worlds, side by side on the cores of this process."""
+    if len(commands) == 1 or len(cores.usable()) == 1:
+        return [world.execute(command) for world, command in commands]
+    return list(_threads().map(lambda pair: pair[0].execute(pair[1]), commands))
+
+
+@functools.cache
+def _threads() -> concurrent.futures.ThreadPoolExecutor:
+    return concurrent.futures.ThreadPoolExecutor(len(cores.usable()))
