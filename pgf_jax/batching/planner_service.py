@@ -14,9 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgf_jax.batching.requests import PredictGain, Request, Retreat, Step, robot_key_path
+from pgf_jax.batching.requests import Execute, PredictGain, Request, Retreat, Step, robot_key_path
 from pgf_jax.physics.config import Physics, physics_of
 from pgf_jax.physics.engine import ENGINES, Engine, make_engine
+from pgf_jax.physics.worlds.world import execute_all
+from pgf_jax.planning.candidates import candidates_of
 from pgf_jax.planning.config import Planner as PlannerConfig
 from pgf_jax.planning.config import Planning, planner_of
 from pgf_jax.planning.planner import BatchPlanner, Rolled, Search
@@ -53,10 +55,7 @@ class PlannerService:
         return (used, computed) if own is None else own()
 
     def compute(self, requests: Sequence[Request]) -> list[Any]:
-        """Results of requests, in order: a `Search` of each step, a `World` of each retreat.
-
-        A `PredictGain` gives a float.
-        """
+        """Results of requests, in order; `requests.py` says what each gives."""
         start = time.perf_counter()
         try:
             return self._compute(requests)
@@ -74,27 +73,41 @@ class PlannerService:
             states = np.stack([gain.state for gain in gains])
             for i, value in zip(places, gains[0].predictor.gain(states), strict=True):
                 results[i] = float(value)
+        executions = [(i, r) for i, r in enumerate(requests) if isinstance(r, Execute)]
+        executed = execute_all([(execute.world, execute.command) for _, execute in executions])
+        for (i, _), result in zip(executions, executed, strict=True):
+            results[i] = result
         steps = [(i, r) for i, r in enumerate(requests) if isinstance(r, Step)]
         retreats = [(i, r) for i, r in enumerate(requests) if isinstance(r, Retreat)]
         for part in _parts(retreats, self.engine.lanes):
             worlds = self.planner.retreat([retreat.search for _, retreat in part])
             for (i, _), world in zip(part, worlds, strict=True):
                 results[i] = world
-        for part in _parts(steps, self.engine.lanes):
-            after = self._iterate([step for _, step in part])
-            for (i, _), search in zip(part, after, strict=True):
-                results[i] = search
+        # Apart, so that no result depends on what the others of its call asked for.
+        for wanted in (False, True):
+            alike = [(i, step) for i, step in steps if step.candidates is wanted]
+            for part in _parts(alike, self.engine.lanes):
+                after = self._iterate([step for _, step in part], wanted)
+                for (i, _), result in zip(part, after, strict=True):
+                    results[i] = result
         return results
 
     def rolled(self, step: Step) -> tuple[Search, Rolled]:
         """Compute an iteration and return all of its rollouts too; it counts in no statistics."""
         return self.planner.rolled(step.search, self._keys_of([step])[0])
 
-    def _iterate(self, steps: Sequence[Step]) -> list[Any]:
+    def _iterate(self, steps: Sequence[Step], candidates: bool) -> list[Any]:
         self.calls += 1
         self.steps += len(steps)
         self.lanes_used += len(steps)
-        return self.planner.step([step.search for step in steps], self._keys_of(steps))
+        searches, keys = [step.search for step in steps], self._keys_of(steps)
+        if not candidates:
+            return self.planner.step(searches, keys)
+        pairs = zip(searches, self.planner.step_valued(searches, keys), strict=True)
+        return [
+            (after, candidates_of(before, rolled, self.planner))
+            for before, (after, rolled) in pairs
+        ]
 
     def _keys_of(self, steps: Sequence[Step]) -> list[np.ndarray]:
         paths = [step.key_path for step in steps]

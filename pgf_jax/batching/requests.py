@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from pgf_jax.physics.worlds.world import Command, World3D
 from pgf_jax.planning.planner import Search
 
 NOISE = 0  # purpose of a robot's own noise; the purposes of trials come after it
@@ -31,16 +32,28 @@ class GainPredictor(Protocol):
 
 
 class Step(NamedTuple):
-    """Request for one iteration of a search; its result is the `Search` after it."""
+    """Request for one iteration of a search; its result is the `Search` after it.
+
+    With `candidates`, the result is a pair: that, and the `Candidates` that a world has to check,
+    None where there are none.
+    """
 
     search: Search
     key_path: KeyPath
+    candidates: bool = False
 
 
 class Retreat(NamedTuple):
     """Request for the retreat after a push that was found; its result is the `World` after it."""
 
     search: Search
+
+
+class Execute(NamedTuple):
+    """Request for the execution of a segment in a world; its result is an `Executed`."""
+
+    world: World3D
+    command: Command
 
 
 class PredictGain(NamedTuple):
@@ -64,7 +77,7 @@ class External(NamedTuple):
     subscribe: Callable[[Callable[[Any], None]], None]  # is given what to call with the result
 
 
-Request = Step | Retreat | PredictGain | Memoised | External
+Request = Step | Retreat | Execute | PredictGain | Memoised | External
 Coroutine = Generator[list[Request], list[Any], Any]
 
 

@@ -10,7 +10,8 @@ import math
 
 import numpy as np
 
-from pgf_jax.batching.requests import Coroutine, KeyPaths, Retreat, Step
+from pgf_jax.batching.places import Place, execute_and_retreat, iterate
+from pgf_jax.batching.requests import Coroutine, KeyPaths, Retreat
 from pgf_jax.physics.engine import World
 from pgf_jax.planning.planner import BatchPlanner, Search
 from pgf_jax.planning.types import Push
@@ -47,6 +48,7 @@ def simulate_input(
     push_limit: int = PUSH_ITERATIONS,
     reach_limit: int,
     total_limit: int | None = None,
+    place: Place | None = None,
 ) -> Coroutine:
     """Simulate one input, given to a reach as it stands; returns a `Trial`.
 
@@ -62,6 +64,8 @@ def simulate_input(
       push_limit: iterations of the push, without its nominal's.
       reach_limit: reach iterations, likewise: the look-ahead.
       total_limit: iterations of both kinds, likewise; None: no such limit.
+      place: where the search stands in a world, in which solutions are checked and the push is
+        executed; None: the engine is believed.
     """
     steps = counted = 0
     found = False
@@ -70,17 +74,20 @@ def simulate_input(
     if push is not None:
         current = planner.begin_push(search.start, int(search.task.goal), push)
         while not planner.terminate(current) and int(current.iteration) < min(push_limit, left):
-            (current,) = yield [Step(current, key_paths(steps))]
+            current = yield from iterate(planner, current, key_paths(steps), place)
             steps += 1
         counted = int(current.iteration)
         found = planner.terminate(current)
         world: World = search.start
-        if found:
+        if found and place is not None:
+            place = yield from execute_and_retreat(planner, place, current)
+            world = place.seen
+        elif found:
             (world,) = yield [Retreat(current)]
         reach = planner.begin_reach(world, int(search.task.goal))
     last = max(0, int(reach.iteration)) + min(reach_limit, left - counted)
     while not planner.terminate(reach) and int(reach.iteration) < last:
-        (reach,) = yield [Step(reach, key_paths(steps))]
+        reach = yield from iterate(planner, reach, key_paths(steps), place)
         steps += 1
     value = reach.value
     cost = float(np.sum(value.terms[:3]))

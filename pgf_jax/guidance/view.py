@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:  # the planner needs JAX, and the command line lists the operators
+    from pgf_jax.batching.places import Place
     from pgf_jax.planning.planner import Search
 
 # Identifies one decision of an operator: seed, robot, task, iterations of the task that have ended.
@@ -29,6 +30,7 @@ class View:
       terms: [5] the best trajectory's c_d, c_f, c_b, c_e, c_s; inf before the first rollout.
       request: number of this input in its task, 0-based.
       dropped: pushes since the shelf last changed that the planner could not find.
+      place: where trials can be checked, the world in which the robot stands; None: there is none.
     """
 
     objects: np.ndarray
@@ -42,9 +44,12 @@ class View:
     terms: np.ndarray
     request: int
     dropped: int
+    place: "Place | None" = None
 
     @classmethod
-    def of(cls, search: "Search", request: int = 0, dropped: int = 0) -> "View":
+    def of(
+        cls, search: "Search", request: int = 0, dropped: int = 0, place: "Place | None" = None
+    ) -> "View":
         """Make the view of a robot from its search."""
         return cls(
             objects=np.asarray(search.start.objects),
@@ -58,4 +63,5 @@ class View:
             terms=np.asarray(search.value.terms),
             request=request,
             dropped=dropped,
+            place=place,
         )

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 GRIPPER_CLOSED = 255.0
+# After a push the hand retracts straight back, with the gripper as it is (the published source's).
+RETREAT_M, RETREAT_S = 0.07, 1.0
 
 # End-effector point and pointing direction in the hand's frame (joints at zero): ee_point_1 and
 # ee_point_2 of the footprint file. Metres.

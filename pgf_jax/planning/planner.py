@@ -6,7 +6,7 @@ in between. A `Search` is one segment's state, a pytree of arrays; nothing in it
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +15,13 @@ import numpy as np
 from pgf_jax.errors import BadInput
 from pgf_jax.physics import hand
 from pgf_jax.physics.engine import MAX_CONTACTS, Array, Engine, Rollout, World
-from pgf_jax.planning import nominal
+from pgf_jax.planning import arrays, nominal
+from pgf_jax.physics.hand import RETREAT_M, RETREAT_S
 from pgf_jax.planning.config import Planner as Config
 from pgf_jax.planning.cost import Evaluation, Task, evaluate
 from pgf_jax.planning.types import Push
 
 HISTORY = 3  # P: cost terms of the best after each of the last P iterations
-RETREAT_M, RETREAT_S = 0.07, 1.0
 WINNER = 1  # folded into an iteration's key for the draw of a random winner, apart from the noise
 
 
@@ -65,13 +65,17 @@ class BatchPlanner:
         self._absorb = jax.jit(jax.vmap(self._absorb_one))
         self._blend = jax.jit(jax.vmap(self._blend_one))
         self._value = jax.jit(jax.vmap(self._evaluate))
+        # Of searches whose candidates are checked in a world.
+        self._absorb_valued = jax.jit(jax.vmap(self._absorb_valued_one))
+        self._take_one = jax.jit(self._take)
+        self._evaluate_one = jax.jit(self._evaluate)
         self._retreat = jax.jit(jax.vmap(self._retreat_one))
 
     # -- segments ---------------------------------------------------------------------------------
 
     def begin_reach(self, world: World, goal: int) -> Search:
         """Start a reach segment from `world` (unbatched); nothing is rolled out yet."""
-        return _to_host(self._init_reach(_as_float32(world), np.int32(goal)))
+        return arrays.to_host(self._init_reach(arrays.as_float32(world), np.int32(goal)))
 
     def begin_push(self, world: World, goal: int, push: Push) -> Search:
         """Start a push segment from `world` (unbatched)."""
@@ -82,8 +86,8 @@ class BatchPlanner:
         target = np.array([push.x, push.y], np.float32)
         if not np.isfinite(target).all():
             raise BadInput(f"push: target must be finite numbers, got ({push.x}, {push.y})")
-        return _to_host(
-            self._init_push(_as_float32(world), np.int32(goal), np.int32(push.object), target)
+        return arrays.to_host(
+            self._init_push(arrays.as_float32(world), np.int32(goal), np.int32(push.object), target)
         )
 
     def go_on(self, search: Search) -> Search:
@@ -112,6 +116,37 @@ class BatchPlanner:
         """
         return self._iterate(searches, keys)[0]
 
+    def step_valued(
+        self, searches: Sequence[Search], keys: Sequence[np.ndarray]
+    ) -> list[tuple[Search, Rolled]]:
+        """Do one iteration of each search, and return what its winner was chosen from.
+
+        Args:
+          searches, keys: see `step`.
+
+        Returns:
+          Of each search: what it is after the iteration, and the rollouts of which the cheapest
+          may have replaced its best, with the values that decided.
+        """
+        pairs, rounds = self._iterate(searches, keys, valued=True)
+        count = len(pairs)
+        controls, rollouts = (arrays.unstack(arrays.to_host(x), count) for x in rounds[-1])
+        return [
+            (after, _asked(before, Rolled(c, rollout, value)))
+            for before, (after, value), c, rollout in zip(
+                searches, pairs, controls, rollouts, strict=True
+            )
+        ]
+
+    def take(self, search: Search, rolled: Rolled) -> Search:
+        """The search after an iteration whose rollouts have these values, the engine's or not."""
+        return arrays.to_host(self._take_one(search, *rolled))
+
+    def evaluate(self, search: Search, rollout: Rollout) -> Evaluation:
+        """Evaluate one rollout ([T, N, 2] and so on) as a trajectory of a search."""
+        one = jax.tree.map(lambda x: np.asarray(x)[None], arrays.as_float32(rollout))
+        return jax.tree.map(lambda x: np.asarray(x)[0], self._evaluate_one(search, one))
+
     def rolled(self, search: Search, key: np.ndarray) -> tuple[Search, Rolled]:
         """Do one iteration of one search, and return all its rollouts.
 
@@ -125,24 +160,24 @@ class BatchPlanner:
           from the values that the iteration used.
         """
         (after,), rounds = self._iterate([search], [key])
-        batch = _stack(_pad([search], self.engine.lanes))
-        asked = slice(1 if search.iteration < 0 else None)  # the nominal is wanted once
+        batch = arrays.stack(arrays.pad([search], self.engine.lanes))
         parts = [
-            jax.tree.map(
-                lambda x: np.asarray(x)[0, asked],
-                Rolled(controls, rollout, self._value(batch, rollout)),
-            )
-            for controls, rollout in rounds
+            _asked(search, jax.tree.map(lambda x: np.asarray(x)[0], Rolled(c, r, self._value(batch, r))))
+            for c, r in rounds
         ]
         return after, jax.tree.map(lambda *xs: np.concatenate(xs), *parts)
 
     def _iterate(
-        self, searches: Sequence[Search], keys: Sequence[np.ndarray]
-    ) -> tuple[list[Search], list[tuple[Array, Rollout]]]:
-        """The searches after an iteration, and each round's [L, k, T, 3] controls and rollouts."""
+        self, searches: Sequence[Search], keys: Sequence[np.ndarray], *, valued: bool = False
+    ) -> tuple[list[Any], list[tuple[Array, Rollout]]]:
+        """The searches after an iteration, and each round's [L, k, T, 3] controls and rollouts.
+
+        With `valued`, each search has the values of the last round's rollouts with it.
+        """
+        absorb = self._absorb_valued if valued else self._absorb
         lanes, k = self.engine.lanes, self.config.rollouts
-        batch = _stack(_pad(searches, lanes))
-        padded_keys = np.stack(_pad(keys, lanes))  # [L, 2]
+        batch = arrays.stack(arrays.pad(searches, lanes))
+        padded_keys = np.stack(arrays.pad(keys, lanes))  # [L, 2]
         noisy = self._propose(batch, padded_keys)  # [L, K, T, 3]
         # Do not roll out the padding, nor the nominal more than once.
         used = np.arange(lanes) < len(searches)
@@ -153,12 +188,12 @@ class BatchPlanner:
             batch, blended = self._blend(batch, noisy, rollout)  # [L, 1, T, 3]
             winner = self._roll(batch, blended, used[:, None])
             rounds.append((blended, winner))
-            after = self._absorb(batch, blended, winner)
+            after = absorb(batch, blended, winner)
         elif self.config.random_winner:
-            after = self._absorb(batch, noisy, rollout, padded_keys)
+            after = absorb(batch, noisy, rollout, padded_keys)
         else:
-            after = self._absorb(batch, noisy, rollout)
-        return _unstack(_to_host(after), len(searches)), rounds
+            after = absorb(batch, noisy, rollout)
+        return arrays.unstack(arrays.to_host(after), len(searches)), rounds
 
     def retreat(self, searches: Sequence[Search]) -> list[World]:
         """Worlds after each push was executed and the hand has retracted 0.07 m straight back.
@@ -169,7 +204,7 @@ class BatchPlanner:
         lanes, k, physics = self.engine.lanes, self.config.rollouts, self.engine.physics
         substeps = round(RETREAT_S / physics.substep_s / physics.knots)
         duration = substeps * physics.knots * physics.substep_s
-        start, velocity = self._retreat(_stack(_pad(searches, lanes)))
+        start, velocity = self._retreat(arrays.stack(arrays.pad(searches, lanes)))
         controls = np.asarray(velocity)[:, None, None] * (RETREAT_M / duration)
         controls = np.broadcast_to(controls, (lanes, k, physics.knots, 3))
         gripper = np.broadcast_to(
@@ -178,10 +213,12 @@ class BatchPlanner:
         # The same batch shape as an iteration's, so that no second program is compiled.
         start = jax.tree.map(lambda x: np.repeat(np.asarray(x), k, 0), start)
         used = (np.arange(lanes)[:, None] < len(searches)) & (np.arange(k) == 0)
-        out = self.engine.rollout(start, _flat(controls), _flat(gripper), substeps, _flat(used))
+        out = self.engine.rollout(
+            start, arrays.flat(controls), arrays.flat(gripper), substeps, arrays.flat(used)
+        )
         out = jax.tree.map(lambda x: np.asarray(x, np.float32)[::k], out._replace(bodies=out.force))
         worlds = World(out.objects[:, -1], out.velocities, out.hand[:, -1], start.gripper[::k])
-        return _unstack(worlds, len(searches))
+        return arrays.unstack(worlds, len(searches))
 
     def _roll(self, batch: Search, controls: jax.Array, wanted: np.ndarray) -> Rollout:
         """Roll out [L, k, T, 3] controls of a batch of searches where wanted; [L, k, ...]."""
@@ -189,8 +226,10 @@ class BatchPlanner:
         start = jax.tree.map(lambda x: np.repeat(np.asarray(x), k, 0), batch.start)
         gripper = np.repeat(np.asarray(batch.gripper), k, 0)
         substeps = self.engine.physics.substeps
-        out = self.engine.rollout(start, _flat(controls), gripper, substeps, _flat(wanted))
-        return jax.tree.map(lambda x: x.reshape(lanes, k, *x.shape[1:]), _as_float32(out))
+        out = self.engine.rollout(
+            start, arrays.flat(controls), gripper, substeps, arrays.flat(wanted)
+        )
+        return jax.tree.map(lambda x: x.reshape(lanes, k, *x.shape[1:]), arrays.as_float32(out))
 
     # -- one robot, traced ------------------------------------------------------------------------
 
@@ -270,13 +309,29 @@ class BatchPlanner:
     def _absorb_one(
         self, search: Search, noisy: jax.Array, rollout: Rollout, key: jax.Array | None = None
     ) -> Search:
+        """Evaluate an iteration's rollouts, and take the winner; see `_take`."""
+        return self._take(search, noisy, rollout, self._evaluate(search, rollout), key)
+
+    def _absorb_valued_one(
+        self, search: Search, noisy: jax.Array, rollout: Rollout, key: jax.Array | None = None
+    ) -> tuple[Search, Evaluation]:
+        values = self._evaluate(search, rollout)
+        return self._take(search, noisy, rollout, values, key), values
+
+    def _take(
+        self,
+        search: Search,
+        noisy: jax.Array,
+        rollout: Rollout,
+        values: Evaluation,
+        key: jax.Array | None = None,
+    ) -> Search:
         """Replace the best by the iteration's winner where it is cheaper; update the stuck counter.
 
         The winner is the cheapest; with the iteration's key it may be a random one (the ablation
         `random_winner`). The stuck counter is the published source's.
         """
         config = self.config
-        values = self._evaluate(search, rollout)
         first = search.iteration < 0
         asked = ~first | (jnp.arange(len(values.total)) == 0)
         winner = jnp.argmin(jnp.where(asked, values.total, jnp.inf))
@@ -341,29 +396,6 @@ def start_world(positions: np.ndarray) -> World:
     )
 
 
-def _flat(x):
-    return np.asarray(x).reshape(-1, *np.shape(x)[2:])
-
-
-def _pad(items: Sequence, lanes: int) -> list:
-    if not 0 < len(items) <= lanes:
-        raise ValueError(f"{len(items)} lanes of work for an engine of {lanes}")
-    return [*items, *[items[0]] * (lanes - len(items))]
-
-
-def _as_float32(tree):
-    return jax.tree.map(
-        lambda x: x.astype(np.float32) if getattr(x, "dtype", None) == np.float64 else x, tree
-    )
-
-
-def _to_host(tree):
-    return jax.tree.map(np.asarray, tree)
-
-
-def _stack(trees: Sequence):
-    return jax.tree.map(lambda *xs: np.stack(xs), *trees)
-
-
-def _unstack(tree, count: int) -> list:
-    return [jax.tree.map(lambda x, i=i: x[i], tree) for i in range(count)]
+def _asked(search: Search, rolled: Rolled) -> Rolled:
+    """The rollouts of an iteration that are wanted: all, but of the nominal's only the first."""
+    return jax.tree.map(lambda x: x[: 1 if search.iteration < 0 else None], rolled)

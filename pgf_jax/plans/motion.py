@@ -10,7 +10,8 @@ from pgf_jax.fleet.records import State
 from pgf_jax.physics import hand
 from pgf_jax.physics.config import Physics, physics_of
 from pgf_jax.physics.engine import Engine, World, make_engine
-from pgf_jax.planning.planner import RETREAT_M, RETREAT_S, start_world
+from pgf_jax.physics.hand import RETREAT_M, RETREAT_S
+from pgf_jax.planning.planner import start_world
 from pgf_jax.planning.types import Push
 from pgf_jax.plans.file import Plan
 from pgf_jax.simulation.snapshot import RobotSnapshot, end_effector

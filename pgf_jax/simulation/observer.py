@@ -9,7 +9,8 @@ from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.fleet.records import State
 from pgf_jax.fleet.simulator import Fleet
 from pgf_jax.physics import hand
-from pgf_jax.planning.planner import RETREAT_M, Search
+from pgf_jax.physics.hand import RETREAT_M
+from pgf_jax.planning.planner import Search
 from pgf_jax.planning.types import Push, Status
 from pgf_jax.simulation.planned_robots import PlannedRobots
 from pgf_jax.simulation.snapshot import STUCK, FleetSnapshot, RobotSnapshot, short_number

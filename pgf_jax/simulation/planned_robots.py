@@ -11,9 +11,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pgf_jax.batching import requests
+from pgf_jax.batching import places, requests
+from pgf_jax.batching.places import Place
 from pgf_jax.batching.requests import Coroutine, GainPredictor
-from pgf_jax.fleet.robots import IterationResult, Work, WorkKind
+from pgf_jax.fleet.robots import CheckResult, IterationResult, ReachResult, Work, WorkKind
 from pgf_jax.guidance.operators.base import ask_operator
 from pgf_jax.guidance.predictors.features import state_features
 from pgf_jax.guidance.predictors.true_gain import TrueGain
@@ -22,6 +23,7 @@ from pgf_jax.planning.planner import Search
 from pgf_jax.planning.types import UNANSWERED, Push
 from pgf_jax.scene.scene import Scene, class_of
 from pgf_jax.simulation.search_cache import Node, SearchCache
+from pgf_jax.simulation.task_worlds import TaskWorlds
 from pgf_jax.tables.run_log import RunLog
 
 
@@ -47,6 +49,7 @@ class Robot:
     inputs: int = 0  # services that have ended, those without an answer included
     dropped: int = 0  # pushes given since the shelf last changed that could not be planned
     reach_node: Node | None = None  # while pushing: the reach for which help was asked
+    worlds: TaskWorlds | None = None  # None: nothing is checked
 
     @property
     def search(self) -> Search:
@@ -58,6 +61,20 @@ class Robot:
         """The reach being planned, or the one that was planned before the push under way."""
         return (self.reach_node or self.node).search
 
+    @property
+    def checked_at(self) -> Place | None:
+        """Where candidates of the segment are checked."""
+        if self.worlds is None:
+            return None
+        assert self.node.state is not None
+        return self.worlds.to_check(self.node.state, self.search.start)
+
+    @property
+    def acts_at(self) -> Place:
+        """Where the segment is executed."""
+        assert self.worlds is not None and self.node.state is not None, "there is no world"
+        return self.worlds.to_act(self.node.state)
+
 
 class PlannedRobots:
     """The robots of one fleet; satisfies `fleet.Robots`.
@@ -68,6 +85,7 @@ class PlannedRobots:
       predictor: of what robots bid; None: every gain is nan, and nobody bids one.
       on_task_end: called with (robot index, Robot) when a robot takes its next task, and by
         `finish` for the last ones.
+      misses: see `fleet.Robots.misses`.
 
     Attributes:
       robots: robot index -> its task, the last one once all have ended.
@@ -82,7 +100,9 @@ class PlannedRobots:
         tasks: int = 1,
         predictor: GainPredictor | TrueGain | None = None,
         on_task_end: Callable[[int, Robot], None] | None = None,
+        misses: bool = False,
     ) -> None:
+        self.misses = misses
         self.cache, self.planner_service, self.predictor = cache, cache.planner_service, predictor
         self.robots: dict[int, Robot] = {}
         self.iterations = 0
@@ -91,6 +111,11 @@ class PlannedRobots:
         cache.retain(robots, tasks)
 
     # -- fleet.Robots -----------------------------------------------------------------------------
+
+    @property
+    def verified(self) -> bool:
+        """See `fleet.Robots.verified`."""
+        return self.cache.worlds is not None
 
     def begin(self, robot: int, task: int) -> None:
         """See `fleet.Robots.begin`."""
@@ -105,7 +130,7 @@ class PlannedRobots:
             n_objects=len(scene.objects),
         )
         log.begin_segment("reach")
-        self.robots[robot] = Robot(task, scene, cached.root, [], log)
+        self.robots[robot] = Robot(task, scene, cached.root, [], log, worlds=cached.worlds)
 
     def start_push(self, robot: int, push: Push) -> None:
         """See `fleet.Robots.start_push`."""
@@ -136,45 +161,95 @@ class PlannedRobots:
         """The coroutine of a piece of work; returns the work's result."""
         if work.kind is WorkKind.ITERATION:
             self.iterations += 1
-            return (yield from self._iterate(work))
-        if work.kind is WorkKind.INPUT:
-            return (yield from self._ask(work))
-        return (yield from self._retreat(work))
+        does = {
+            WorkKind.ITERATION: self._iterate,
+            WorkKind.CHECK: self._check,
+            WorkKind.INPUT: self._ask,
+            WorkKind.REACH: self._execute_reach,
+            WorkKind.RETREAT: self._retreat,
+        }
+        return (yield from does[work.kind](work))
 
     def _iterate(self, work: Work) -> Coroutine:
-        r, planner = self.robots[work.robot], self.planner_service.planner
-        before = r.search
+        r = self.robots[work.robot]
+        before, state = r.node.search, r.node.state
 
         def step() -> Coroutine:
             path = requests.robot_key_path(self.cache.seed, work.robot, work.task, work.iteration)
-            (after,) = yield [requests.Step(before, path(0))]
-            return Node(after)
+            wanted = r.worlds is not None
+            (result,) = yield [requests.Step(before, path(0), candidates=wanted)]
+            after, candidates = result if wanted else (result, None)
+            return Node(after, state, candidates)
 
         (r.node,) = yield [r.node.memoised("iteration", step)]
-        after = r.search
-        gain = math.nan
-        if self.predictor is not None and not after.task.pushing:
-            (gain,) = yield [self._gain(r, (*self._task_key(work), work.iteration + 1))]
+        after, to_check = r.search, r.node.candidates is not None
+        # Nothing is bid for a candidate that is to be checked.
+        gain = math.nan if to_check else (yield from self._gain(r, work, work.iteration + 1))
+        result = self._result(after, gain)
+        r.log.add(result.terms, feasible=result.feasible)
+        return dataclasses.replace(
+            result,
+            feasible=result.feasible or to_check,
+            non_finite=bool(after.non_finite > before.non_finite),
+            saturated=int(after.saturated - before.saturated),
+        )
+
+    def _check(self, work: Work) -> Coroutine:
+        r, planner = self.robots[work.robot], self.planner_service.planner
+        candidates, state, place = r.node.candidates, r.node.state, r.checked_at
+        assert candidates is not None and place is not None, "nothing to check"
+
+        def check() -> Coroutine:
+            after = yield from places.check(planner, place, candidates)
+            more = after if after.next is not None else None
+            return Node(after.search(planner), state, more)
+
+        (r.node,) = yield [r.node.memoised("check", check)]
+        passed, more = planner.terminate(r.search), r.node.candidates is not None
+        gain = math.nan if passed or more else (yield from self._gain(r, work, work.iteration + 1))
+        result = self._result(r.search, gain)
+        r.log.amend(result.terms, feasible=passed)
+        return CheckResult(passed, more, result)
+
+    def _result(self, after: Search, gain: float) -> IterationResult:
+        planner = self.planner_service.planner
         c_d, c_f, c_b = (float(x) for x in after.value.terms[:3])
-        result = IterationResult(
+        return IterationResult(
             feasible=planner.terminate(after),
             stuck=planner.is_stuck(after),
             gain=gain,
             terms=(c_d, c_f, c_b),
             cost=float(after.value.total),
-            non_finite=bool(after.non_finite > before.non_finite),
-            saturated=int(after.saturated - before.saturated),
         )
-        r.log.add(result.terms, feasible=result.feasible)
-        return result
+
+    def _execute_reach(self, work: Work) -> Coroutine:
+        r, planner = self.robots[work.robot], self.planner_service.planner
+        search, place = r.search, r.acts_at
+
+        def execute() -> Coroutine:
+            goal = int(search.task.goal)
+            (executed,) = yield [places.segment(planner, place, search, goal=goal, keep=True)]
+            return executed
+
+        (executed,) = yield [r.node.memoised("reach", execute)]
+        if not executed.grasped:
+            r.node = r.node.child("missed", lambda: search, executed.state)
+        return ReachResult(executed.grasped, executed.distance)
 
     def _retreat(self, work: Work) -> Coroutine:
         r, planner = self.robots[work.robot], self.planner_service.planner
         search = r.search
 
         def retreat() -> Coroutine:
-            (world,) = yield [requests.Retreat(search)]
-            return Node(planner.begin_reach(world, r.scene.goal))
+            if r.worlds is None:
+                (world,) = yield [requests.Retreat(search)]
+                return Node(planner.begin_reach(world, r.scene.goal))
+            place = r.acts_at
+            if search.task.pushing:
+                place = yield from places.execute_and_retreat(planner, place, search)
+            else:  # a reach has missed, and the node's state is that at its end
+                place = yield from places.retreat(*place)
+            return Node(planner.begin_reach(place.seen, r.scene.goal), place.state)
 
         (after,) = yield [r.node.memoised("retreat", retreat)]
         r.executed.append(self.segment(search))
@@ -196,25 +271,33 @@ class PlannedRobots:
 
     def _input(self, r: Robot, decision_key: DecisionKey) -> requests.Memoised:
         """Request for the input that the operator would give now."""
-        search, view = r.search, View.of(r.search, r.inputs, r.dropped)
+        search = r.search
+        view = View.of(search, r.inputs, r.dropped, r.checked_at)
         planner, operator = self.planner_service.planner, self.cache.operator
         return r.node.memoised(
             ("input", r.inputs), lambda: ask_operator(operator, view, search, planner, decision_key)
         )
 
-    def _gain(self, r: Robot, decision_key: DecisionKey) -> requests.Memoised:
-        """Request for the number that the robot may bid now."""
+    def _gain(self, r: Robot, work: Work, iterations: int) -> Coroutine:
+        """The number that the robot may bid now, after so many iterations; nan where none is."""
         search, predictor = r.search, self.predictor
-        assert predictor is not None
+        if predictor is None or search.task.pushing:
+            return math.nan
+        decision_key, place = (*self._task_key(work), iterations), r.checked_at
 
         def predict() -> Coroutine:
             if isinstance(predictor, TrueGain):
                 planner, request = self.planner_service.planner, self._input(r, decision_key)
-                return (yield from predictor.simulate_gain(search, request, planner, decision_key))
+                return (
+                    yield from predictor.simulate_gain(
+                        search, request, planner, decision_key, place
+                    )
+                )
             (gain,) = yield [requests.PredictGain(predictor, state_features(search))]
             return gain
 
-        return r.node.memoised(("gain", predictor, r.inputs), predict)
+        (gain,) = yield [r.node.memoised(("gain", predictor, r.inputs), predict)]
+        return gain
 
     def segment(self, search: Search) -> Segment:
         """The best trajectory of a search, as a segment of a plan."""

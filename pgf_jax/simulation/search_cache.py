@@ -15,17 +15,28 @@ from pgf_jax.batching.planner_service import PlannerService
 from pgf_jax.batching.requests import Coroutine, Memoised
 from pgf_jax.errors import BadInput
 from pgf_jax.guidance.operators.base import AnyOperator
+from pgf_jax.physics.worlds.world import State
+from pgf_jax.planning.candidates import Candidates
 from pgf_jax.planning.planner import Search, start_world
 from pgf_jax.scene.scene import Scene
+from pgf_jax.simulation.task_worlds import TaskWorlds
 
 
 class Node:
-    """A task's search after everything that has happened in the task so far; never changed."""
+    """A task's search after everything that has happened in the task so far; never changed.
 
-    __slots__ = ("_cache", "_children", "search")
+    Attributes:
+      search: of the segment that is planned.
+      state: of the world in which the robot acts, before the segment; None: there is no world.
+      candidates: of the iteration that has just ended, while a check is to come; else None.
+    """
 
-    def __init__(self, search: Search) -> None:
-        self.search = search
+    __slots__ = ("_cache", "_children", "candidates", "search", "state")
+
+    def __init__(
+        self, search: Search, state: State | None = None, candidates: Candidates | None = None
+    ) -> None:
+        self.search, self.state, self.candidates = search, state, candidates
         self._cache: dict[Hashable, Any] = {}
         self._children: dict[Hashable, Node] = {}
 
@@ -33,19 +44,28 @@ class Node:
         """A memoised request for something that follows from this node alone."""
         return Memoised(self._cache, key, make)
 
-    def child(self, key: Hashable, make: Callable[[], Search]) -> "Node":
-        """The node after a change that is cheap to compute; made once for each key."""
+    def child(
+        self, key: Hashable, make: Callable[[], Search], state: State | None = None
+    ) -> "Node":
+        """The node after a change that is cheap to compute; made once for each key.
+
+        Args:
+          key: of the change.
+          make: the search after it.
+          state: of the world after it; None: it is the same.
+        """
         if key not in self._children:
-            self._children[key] = Node(make())
+            self._children[key] = Node(make(), state or self.state)
         return self._children[key]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CachedTask:
-    """A task: its scene, and the node at which its search begins."""
+    """A task: its scene, the node at which its search begins, and the worlds it is in."""
 
     scene: Scene
     root: Node
+    worlds: TaskWorlds | None
 
 
 class SearchCache:
@@ -58,6 +78,7 @@ class SearchCache:
       scenes: (robot, task) -> scene.
       operator: gives the inputs.
       seed: of the noise.
+      worlds: (scene, robot, task) -> worlds of a task; None: its solutions are not checked.
     """
 
     def __init__(
@@ -67,7 +88,9 @@ class SearchCache:
         scenes: Callable[[int, int], Scene],
         operator: AnyOperator,
         seed: int,
+        worlds: Callable[[Scene, int, int], TaskWorlds] | None = None,
     ) -> None:
+        self.worlds = worlds
         self.planner_service, self.operator, self.seed = planner_service, operator, seed
         self._scenes = scenes
         self._fleets: list[tuple[int, int]] = []
@@ -92,9 +115,11 @@ class SearchCache:
                     f"scene {scene.name}: has {len(scene.objects)} objects, the engine simulates "
                     f"{n}"
                 )
+            worlds = None if self.worlds is None else self.worlds(scene, *key)
             world = start_world(scene.positions)
-            root = Node(self.planner_service.planner.begin_reach(world, scene.goal))
-            self._tasks[key] = CachedTask(scene, root)
+            search = self.planner_service.planner.begin_reach(world, scene.goal)
+            root = Node(search, None if worlds is None else worlds.start())
+            self._tasks[key] = CachedTask(scene, root, worlds)
         return self._tasks[key]
 
     def release(self, robot: int, task: int) -> None:

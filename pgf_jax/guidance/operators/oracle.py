@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pgf_jax.batching.places import Place
 from pgf_jax.batching.requests import Coroutine, gather, robot_key_path, trial_key_path
 from pgf_jax.guidance.operators.heuristic import HeuristicOperator, candidates
 from pgf_jax.guidance.trials import Trial, simulate_input
@@ -55,14 +56,16 @@ class OracleOperator:
         """See `RolloutOperator.deliberate`."""
         inputs: list[Push | None] = [None, *self._pushes(view, decision_key)]
         every = list(range(len(inputs)))
-        scores = yield from self._try(inputs, every, 0, search, planner, decision_key)
+        scores = yield from self._try(inputs, every, 0, search, planner, decision_key, view.place)
         if not self._clairvoyant:
             # The order of equals is that of the candidates: going on first, then the heuristic's.
             best = sorted(every[1:], key=lambda i: scores[i])[: self._again]
             chosen = [0, *best]
             tried = [[scores[i]] for i in chosen]
             for repeat in range(1, 1 + self._repeats):
-                more = yield from self._try(inputs, chosen, repeat, search, planner, decision_key)
+                more = yield from self._try(
+                    inputs, chosen, repeat, search, planner, decision_key, view.place
+                )
                 for own, score in zip(tried, more, strict=True):
                     own.append(score)
             means = {i: float(np.mean(own)) for i, own in zip(chosen, tried, strict=True)}
@@ -87,6 +90,7 @@ class OracleOperator:
         search: Search,
         planner: BatchPlanner,
         decision_key: DecisionKey,
+        place: Place | None,
     ) -> Coroutine:
         """Try the chosen inputs; returns their scores, lower is better."""
 
@@ -97,7 +101,13 @@ class OracleOperator:
                 number = FIRST_TRIAL + repeat * len(inputs) + i
                 key_paths = trial_key_path(*decision_key, number)
             return simulate_input(
-                planner, search, inputs[i], key_paths, reach_limit=TOTAL, total_limit=TOTAL
+                planner,
+                search,
+                inputs[i],
+                key_paths,
+                reach_limit=TOTAL,
+                total_limit=TOTAL,
+                place=place,
             )
 
         trials = yield from gather([one(i) for i in chosen])

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from pgf_jax.batching.places import Place
 from pgf_jax.batching.requests import Coroutine, Request, gather, robot_key_path
 from pgf_jax.guidance.trials import simulate_input
 from pgf_jax.guidance.view import DecisionKey
@@ -27,6 +28,7 @@ class TrueGain:
         input_request: Request,
         planner: BatchPlanner,
         decision_key: DecisionKey,
+        place: Place | None = None,
     ) -> Coroutine:
         """Coroutine that returns the gain: the cost without help minus the cost with help.
 
@@ -39,6 +41,7 @@ class TrueGain:
           input_request: request for the input that the operator would give now.
           planner: of the search.
           decision_key: identifies the robot's iteration; the keys of its noise are made of it.
+          place: where the search stands in a world, see `simulate_input`.
         """
         if planner.terminate(search) or not np.isfinite(search.history).all():
             return np.nan
@@ -48,7 +51,9 @@ class TrueGain:
         key_paths = robot_key_path(*decision_key)
         alone, helped = yield from gather(
             [
-                simulate_input(planner, search, given, key_paths, reach_limit=LOOK_AHEAD)
+                simulate_input(
+                    planner, search, given, key_paths, reach_limit=LOOK_AHEAD, place=place
+                )
                 for given in (None, push)
             ]
         )

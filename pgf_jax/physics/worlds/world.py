@@ -20,10 +20,11 @@ import numpy as np
 
 from pgf_jax import cores
 from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
-from pgf_jax.physics.hand import POINTING_YAW
+from pgf_jax.physics.hand import EE_POINT, POINTING_YAW, RETREAT_M, RETREAT_S
 from pgf_jax.scene.scene import Scene
 
-RETREAT_M, RETREAT_S = 0.07, 1.0  # straight back after a push or a miss, hand unchanged
+GRASP_M = 0.06  # a reach that ends nearer to the goal has grasped it, see `World3D._distance`
+_M_PER_RAD = 0.09  # of the goal's bearing from where the hand points
 _STANDS_ON = 0.7  # a contact whose normal is that steep is with what an object stands on
 
 
@@ -41,6 +42,8 @@ class Executed(NamedTuple):
       rollout: seen from above: [T, N, 2] centres at the knots' ends and so on, float64; contacts of
         each pair of bodies as one, with the magnitude of the pair's whole force.
       state: at the end; None where it was not asked for.
+      distance: of the goal from the end-effector point at the end, with its bearing counted in, m;
+        nan where the segment has no goal.
       upright: the smallest cosine between an object's axis and the vertical at the knots' ends: 1
         while all stand.
       touched: whether the robot touched the shelf at a knot's end.
@@ -48,8 +51,14 @@ class Executed(NamedTuple):
 
     rollout: Rollout
     state: State | None
+    distance: float
     upright: float
     touched: bool
+
+    @property
+    def grasped(self) -> bool:
+        """Whether the goal is within the hand at the end."""
+        return self.distance < GRASP_M
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +70,7 @@ class Command:
       controls: [T, 3] velocities of the hand along the world's axes, m/s, m/s, rad/s.
       gripper: [T] value that each knot moves to, linearly within the knot.
       seconds: of all knots together.
+      goal: index of the object that is to be grasped; None: none is.
       keep: whether the state at the end is wanted.
     """
 
@@ -68,6 +78,7 @@ class Command:
     controls: np.ndarray
     gripper: np.ndarray
     seconds: float
+    goal: int | None = None
     keep: bool = False
 
 
@@ -131,18 +142,13 @@ class World3D(abc.ABC):
         velocities = data.qvel[self._qvel[:, :2]].copy()
         rollout = Rollout(objects, hands, velocities, force, bodies)
         end = State(data, before) if command.keep else None
-        return Executed(rollout, end, upright, touched)
+        distance = np.nan if command.goal is None else self._distance(data, command.goal)
+        return Executed(rollout, end, distance, upright, touched)
 
-    def execute_all(self, commands: Sequence[Command]) -> list[Executed]:
-        """Execute segments side by side on the cores; each result is that of `execute`."""
-        return execute_all([(self, command) for command in commands])
-
-    def retreat(self, state: State) -> Executed:
-        """Retract the hand 0.07 m straight back in 1 s, with the gripper as it is."""
-        yaw = self._hand(state.data)[2] + POINTING_YAW
-        back = -RETREAT_M / RETREAT_S * np.array([[np.cos(yaw), np.sin(yaw), 0.0]])
-        gripper = np.array([state.gripper])
-        return self.execute(Command(state, back, gripper, RETREAT_S, keep=True))
+    def retreat(self, state: State) -> Command:
+        """The segment that retracts the hand 0.07 m straight back in 1 s."""
+        back = np.array([[*-RETREAT_M / RETREAT_S * self._pointing(state.data)[1], 0.0]])
+        return Command(state, back, np.array([state.gripper]), RETREAT_S, keep=True)
 
     def seen(self, state: State) -> World:
         """The state as a planner in the plane sees it; an object that has toppled is a disk too.
@@ -158,6 +164,21 @@ class World3D(abc.ABC):
             state.gripper,
         )
         return World(*(np.array(value, np.float32) for value in values))
+
+    def _pointing(self, data: Any) -> tuple[np.ndarray, np.ndarray]:
+        """[2] end-effector point, m, and [2] direction in which the hand points."""
+        x, y, yaw = self._hand(data)
+        c, s = np.cos(yaw), np.sin(yaw)
+        ahead = np.array([np.cos(yaw + POINTING_YAW), np.sin(yaw + POINTING_YAW)])
+        return np.array([x, y]) + np.array([[c, -s], [s, c]]) @ EE_POINT, ahead
+
+    def _distance(self, data: Any, goal: int) -> float:
+        """sqrt(|ee - o|^2 + (0.09 bearing)^2), as the cost has it, m."""
+        point, ahead = self._pointing(data)
+        to = data.xpos[self._objects[goal], :2] - point
+        away = float(np.linalg.norm(to))
+        bearing = float(np.arccos(np.clip(ahead @ to / away, -1.0, 1.0))) if away > 0 else 0.0
+        return float(np.hypot(away, _M_PER_RAD * bearing))
 
     def _copy(self, data: Any) -> Any:
         copy = mujoco.MjData(self.model)
