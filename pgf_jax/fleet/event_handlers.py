@@ -5,16 +5,15 @@ been delivered. A handler changes the robots' tasks and the operators, writes to
 schedules further events and requests work.
 """
 
-import bisect
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 from pgf_jax.fleet.allocator import AskOutcome, make_allocator
+from pgf_jax.fleet.attendance import Attendance, AttendanceSchedule
 from pgf_jax.fleet.compute import ComputeModel
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.event_calendar import (
     FLEET,
-    OPERATORS,
     Calendar,
     EventPriority,
     ScheduledEvent,
@@ -29,18 +28,6 @@ from pgf_jax.fleet.service import ServiceTimes
 from pgf_jax.fleet.task_run import TaskRun
 from pgf_jax.fleet.work_tracker import WorkTracker
 from pgf_jax.planning.types import NoInput, Push, Status
-
-
-class Attendance(NamedTuple):
-    """A change of an operator's presence at one time."""
-
-    time_ns: int
-    operator: int
-    present: bool
-
-
-def _by_time(change: Attendance) -> int:
-    return change.time_ns
 
 
 class EventHandlers:
@@ -85,9 +72,7 @@ class EventHandlers:
         )
         self._rollout_ns = nanoseconds(config.rollout_time_s)
         self._next_task = [0] * config.robots
-        # Changes that are still to come; simultaneous ones in the order given.
-        self._attendance = sorted(attendance, key=_by_time)
-        self._schedule_attendance()
+        self._attendance = AttendanceSchedule(attendance, calendar)
         for robot in range(config.robots):
             self._calendar.schedule(0, EventPriority.NEW_TASK, robot)
 
@@ -162,11 +147,10 @@ class EventHandlers:
             self._refuse(self.runs[robot], "lost")
 
     def _on_attendance(self) -> None:
-        _, operator, present = self._attendance.pop(0)
+        _, operator, present = self._attendance.pop()
         self.operators.set_present(operator, present)
         kind = EventKind.OPERATOR_BACK if present else EventKind.OPERATOR_AWAY
         self._log(kind, operator=operator)
-        self._schedule_attendance()
         self._serve_waiting()
 
     def _on_expiry(self, run: TaskRun) -> None:
@@ -372,14 +356,7 @@ class EventHandlers:
 
     def add_attendance(self, change: Attendance) -> None:
         """Add a change of an operator's presence that is still to come."""
-        bisect.insort(self._attendance, change, key=_by_time)
-        self._schedule_attendance()
-
-    def _schedule_attendance(self) -> None:
-        if self._attendance:
-            self._calendar.schedule(
-                self._attendance[0].time_ns, EventPriority.ATTENDANCE, OPERATORS
-            )
+        self._attendance.add(change)
 
     # --- helpers --------------------------------------------------------------------------------
 

@@ -24,10 +24,11 @@ the same times give the same log again.
 import math
 from collections.abc import Iterable
 
+from pgf_jax.fleet.attendance import Attendance
 from pgf_jax.fleet.compute import ComputeModel, parse_compute
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.event_calendar import Calendar, EventPriority, nanoseconds
-from pgf_jax.fleet.event_handlers import Attendance, EventHandlers
+from pgf_jax.fleet.event_handlers import EventHandlers
 from pgf_jax.fleet.operator_pool import OperatorPool
 from pgf_jax.fleet.robots import Result, Robots, Work
 from pgf_jax.fleet.service import LogNormal, ServiceTimes
