@@ -24,7 +24,7 @@ the same times give the same log again.
 import math
 from collections.abc import Iterable
 
-from pgf_jax.fleet.attendance import Attendance
+from pgf_jax.fleet.attendance import Attendance, AttendanceSchedule
 from pgf_jax.fleet.compute import ComputeModel, parse_compute
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.event_calendar import Calendar, EventPriority, nanoseconds
@@ -71,6 +71,7 @@ class Fleet:
             math.inf if config.horizon_s is None else nanoseconds(config.horizon_s)
         )
         self._work = WorkTracker()
+        self._attendance = AttendanceSchedule(attendance, self._calendar)
         self._handlers = EventHandlers(
             config,
             robots,
@@ -78,7 +79,7 @@ class Fleet:
             self._work,
             service=service or LogNormal(config.seed, config.service_mean_s, config.service_sd_s),
             compute=compute or parse_compute(config.compute, rollouts=config.rollouts),
-            attendance=attendance,
+            attendance=self._attendance,
         )
         self.events = self._handlers.events
         self.records = self._handlers.records
@@ -137,7 +138,7 @@ class Fleet:
 
     def set_attendance(self, operator: int, present: bool) -> None:
         """Let an operator come or leave at the first instant not advanced to."""
-        self._handlers.add_attendance(Attendance(self._next_instant_ns(), operator, present))
+        self._attendance.add(Attendance(self._next_instant_ns(), operator, present))
 
     def stop(self) -> None:
         """End the fleet early: the horizon becomes the first instant not advanced to."""
