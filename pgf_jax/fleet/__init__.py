@@ -10,15 +10,24 @@ May import `planning.types`, `settings`, `streams` and `errors`; nothing of JAX 
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.fleet.records import TaskRecord
-from pgf_jax.fleet.robots import IterationResult, Robots, Work, WorkKind
+from pgf_jax.fleet.robots import (
+    CheckResult,
+    IterationResult,
+    ReachResult,
+    Robots,
+    Work,
+    WorkKind,
+)
 from pgf_jax.fleet.simulator import Fleet
 
 __all__ = [
+    "CheckResult",
     "Event",
     "EventKind",
     "Fleet",
     "FleetConfig",
     "IterationResult",
+    "ReachResult",
     "Robots",
     "TaskRecord",
     "Work",

@@ -10,10 +10,11 @@ class ComputeModel(Protocol):
     """Slows simulated planning down. `Fleet` takes any object with this method."""
 
     def slowdown(self, robot: int, task: int, iteration: int, planning: int) -> float:
-        """Factor on an iteration's time; called once, when the iteration starts.
+        """Factor on the time of an iteration or final check; called once, when it starts.
 
         Args:
-          robot, task, iteration: which iteration starts, counted as in `Work`.
+          robot, task, iteration: which iteration starts, counted as in `Work`; a final check has
+            the number of the iteration that would come next.
           planning: A, the number of robots that plan at this instant, including this robot.
         """
         ...

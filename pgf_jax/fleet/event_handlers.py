@@ -5,42 +5,22 @@ been delivered. A handler changes the robots' tasks and the operators, writes to
 schedules further events and requests work.
 """
 
-import bisect
-from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 from pgf_jax.fleet.allocator import AskOutcome, make_allocator
+from pgf_jax.fleet.attendance import AttendanceSchedule
 from pgf_jax.fleet.compute import ComputeModel
 from pgf_jax.fleet.config import FleetConfig
-from pgf_jax.fleet.event_calendar import (
-    FLEET,
-    OPERATORS,
-    Calendar,
-    EventPriority,
-    ScheduledEvent,
-    nanoseconds,
-)
+from pgf_jax.fleet.event_calendar import FLEET, Calendar, EventPriority, ScheduledEvent, nanoseconds
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.fleet.operator_pool import OperatorPool
 from pgf_jax.fleet.policies import Discipline, make_policy
 from pgf_jax.fleet.records import State, TaskRecord
-from pgf_jax.fleet.robots import IterationResult, Robots, Work, WorkKind
+from pgf_jax.fleet.robots import CheckResult, IterationResult, ReachResult, Robots, Work, WorkKind
 from pgf_jax.fleet.service import ServiceTimes
 from pgf_jax.fleet.task_run import TaskRun
 from pgf_jax.fleet.work_tracker import WorkTracker
 from pgf_jax.planning.types import NoInput, Push, Status
-
-
-class Attendance(NamedTuple):
-    """A change of an operator's presence at one time."""
-
-    time_ns: int
-    operator: int
-    present: bool
-
-
-def _by_time(change: Attendance) -> int:
-    return change.time_ns
 
 
 class EventHandlers:
@@ -64,7 +44,7 @@ class EventHandlers:
         *,
         service: ServiceTimes,
         compute: ComputeModel,
-        attendance: Iterable[Attendance],
+        attendance: AttendanceSchedule,
     ) -> None:
         """Schedule the first events; for the arguments see `Fleet`."""
         self.events: list[Event] = []
@@ -84,10 +64,11 @@ class EventHandlers:
             self._policy.discipline, seed=config.seed, robots=config.robots
         )
         self._rollout_ns = nanoseconds(config.rollout_time_s)
+        self._push_ns = nanoseconds(config.push_execution_s)
+        self._reach_ns = nanoseconds(config.reach_execution_s)
+        self._retreat_ns = nanoseconds(config.retreat_s)
         self._next_task = [0] * config.robots
-        # Changes that are still to come; simultaneous ones in the order given.
-        self._attendance = sorted(attendance, key=_by_time)
-        self._schedule_attendance()
+        self._attendance = attendance
         for robot in range(config.robots):
             self._calendar.schedule(0, EventPriority.NEW_TASK, robot)
 
@@ -108,12 +89,14 @@ class EventHandlers:
             if scheduled.priority is EventPriority.EXPIRY:
                 self._on_expiry(run)
             elif scheduled.priority is EventPriority.SERVICE_END:
-                assert not isinstance(result, IterationResult)
+                assert result is None or isinstance(result, Push | NoInput)
                 self._on_service_end(run, result, expired=scheduled.work is None)
             elif scheduled.priority is EventPriority.EXECUTION_END:
-                self._on_execution_end(run, retreated=scheduled.work is not None)
-            elif run.checking:
-                self._execute_reach(run)
+                assert result is None or isinstance(result, ReachResult)
+                self._on_execution_end(run, scheduled.work, result)
+            elif run.check is not None:
+                assert result is None or isinstance(result, CheckResult)
+                self._on_check_end(run, result)
             else:
                 assert isinstance(result, IterationResult)
                 self._on_iteration_end(run, result)
@@ -122,18 +105,18 @@ class EventHandlers:
         task = self._next_task[robot]
         self._next_task[robot] += 1
         deadline_ns = self.now_ns + nanoseconds(self._config.task_limit_s)
-        run = self.runs[robot] = TaskRun(robot, task, self.now_ns, deadline_ns)
+        real = self._robots.verified, self._robots.misses
+        run = self.runs[robot] = TaskRun(robot, task, self.now_ns, deadline_ns, *real)
         self._robots.begin(robot, task)
         self._log(EventKind.TASK_START, run)
         self._ask_or_plan(run, self._policy.first_bid(run.progress(self.now_ns)))
 
     def _on_iteration_end(self, run: TaskRun, result: IterationResult) -> None:
-        iteration = run.work_iterations
         run.count_iteration(result)
         self._log(
             EventKind.ITERATION,
             run,
-            iteration=iteration,
+            iteration=run.last_iteration,
             gain=result.gain,
             object=run.push.object if run.push else None,
             outcome="feasible" if result.feasible else "stuck" if result.stuck else None,
@@ -142,11 +125,31 @@ class EventHandlers:
         if result.feasible and run.push is not None:
             self._execute_push(run)
         elif result.feasible:
-            run.checking = True
+            run.check = 0
             self._plan(run)
         elif run.push is not None:
             self._plan(run)
-        elif self.now_ns + 2 * self._rollout_ns > run.deadline_ns:
+        else:
+            self._after_infeasible_reach(run, result)
+
+    def _on_check_end(self, run: TaskRun, check: CheckResult | None) -> None:
+        if check is not None:
+            run.count_check(check)
+            outcome, gain = "passed" if check.passed else "missed", check.result.gain
+            ended = run.last_iteration
+            self._log(EventKind.CHECK, run, iteration=ended, gain=gain, outcome=outcome)
+        if check is None or check.passed:  # None: checks have no outcome
+            self._execute_reach(run)
+        elif check.more:
+            assert run.check is not None
+            run.check += 1
+            self._plan(run)
+        else:
+            run.check = None
+            self._after_infeasible_reach(run, check.result)
+
+    def _after_infeasible_reach(self, run: TaskRun, result: IterationResult) -> None:
+        if self.now_ns + 2 * self._rollout_ns > run.deadline_ns:
             # Out of time. The robot does not ask: it would have no time left to use the input.
             # (On a shared computer an iteration may take even longer: see `_start_iteration`.)
             self._end_task(run, run.failure_status())
@@ -162,11 +165,10 @@ class EventHandlers:
             self._refuse(self.runs[robot], "lost")
 
     def _on_attendance(self) -> None:
-        _, operator, present = self._attendance.pop(0)
+        _, operator, present = self._attendance.pop()
         self.operators.set_present(operator, present)
         kind = EventKind.OPERATOR_BACK if present else EventKind.OPERATOR_AWAY
         self._log(kind, operator=operator)
-        self._schedule_attendance()
         self._serve_waiting()
 
     def _on_expiry(self, run: TaskRun) -> None:
@@ -203,20 +205,31 @@ class EventHandlers:
             self._plan(run)
         self._serve_waiting()
 
-    def _on_execution_end(self, run: TaskRun, *, retreated: bool) -> None:
-        if run.push is None:
-            self._log(EventKind.EXECUTION_END, run, outcome="reach")
-            self._end_task(run, Status.SOLVED)
-        elif not retreated:
-            self._log(EventKind.EXECUTION_END, run, object=run.push.object, outcome="push")
-            retreat = Work(run.robot, run.task, WorkKind.RETREAT, run.work_iterations)
-            end_ns = self.now_ns + nanoseconds(self._config.retreat_s)
-            self._calendar.schedule(end_ns, EventPriority.EXECUTION_END, run.robot, retreat)
-        else:
-            self._log(EventKind.RETREAT_END, run, object=run.push.object)
+    def _on_execution_end(
+        self, run: TaskRun, work: Work | None, reached: ReachResult | None
+    ) -> None:
+        pushed = run.push.object if run.push else None
+        if work is not None and work.kind is WorkKind.RETREAT:
+            self._log(EventKind.RETREAT_END, run, object=pushed)
             run.push = None
             run.start_segment()
             self._plan(run)
+            return
+        missed = reached is not None and not reached.grasped
+        if run.push is None and not missed:
+            self._log(EventKind.EXECUTION_END, run, outcome="reach")
+            self._end_task(run, Status.SOLVED)
+            return
+        outcome = "missed" if missed else "push"
+        self._log(EventKind.EXECUTION_END, run, object=pushed, outcome=outcome)
+        end_ns = self.now_ns + self._retreat_ns
+        if missed:
+            # As a push does at its start, where it requests its retreat, too.
+            run.deadline_ns += self._reach_ns + self._retreat_ns
+            self._schedule(run, end_ns, EventPriority.EXECUTION_END, WorkKind.RETREAT)
+        else:
+            retreat = run.work(WorkKind.RETREAT)
+            self._calendar.schedule(end_ns, EventPriority.EXECUTION_END, run.robot, retreat)
 
     # --- planning and execution -----------------------------------------------------------------
 
@@ -244,11 +257,15 @@ class EventHandlers:
             # At least 1 ns, so that time advances with any compute model.
             return self.now_ns + max(1, round(rollouts * self._rollout_ns * slowdown))
 
-        if run.checking:
-            # The final check rolls the winner out once more: it takes time and has no new outcome.
-            # It runs on the same computer as the iterations, so it is slowed too; no limit stops
-            # it.
-            self._calendar.schedule(end_after(1), EventPriority.ITERATION_END, run.robot)
+        if run.check is not None:
+            # A final check rolls one candidate out once more, on the same computer as the
+            # iterations, so it is slowed too. No limit stops the first one.
+            end_ns = end_after(1)
+            if run.check > 0 and end_ns > run.deadline_ns:
+                self._end_task(run, run.failure_status())
+                return
+            kind = WorkKind.CHECK if run.verified else None  # None: it has no outcome
+            self._schedule(run, end_ns, EventPriority.ITERATION_END, kind)
             return
         # Iteration 0 is the nominal's rollout; a later one is K in parallel, then the winner's own.
         end_ns = end_after(2 if run.nominal_done else 1)
@@ -261,27 +278,25 @@ class EventHandlers:
         if end_ns > run.deadline_ns:
             self._end_task(run, run.failure_status())
             return
-        work = Work(run.robot, run.task, WorkKind.ITERATION, run.work_iterations)
-        self._request_work(work, end_ns)
-        self._calendar.schedule(end_ns, EventPriority.ITERATION_END, run.robot, work)
+        self._schedule(run, end_ns, EventPriority.ITERATION_END, WorkKind.ITERATION)
 
     def _execute_push(self, run: TaskRun) -> None:
         run.successful_grants_at.append(run.grants_at[-1])
         run.enter(State.EXECUTING, self.now_ns)
-        end_ns = self.now_ns + nanoseconds(self._config.push_execution_s)
-        retreat_ns = nanoseconds(self._config.retreat_s)
+        end_ns = self.now_ns + self._push_ns
         # The limit is on planning, waiting and interaction, so execution extends the deadline.
-        run.deadline_ns += nanoseconds(self._config.push_execution_s) + retreat_ns
+        run.deadline_ns += self._push_ns + self._retreat_ns
         # Requested now though needed only when reaching restarts, so that it can share a batch.
-        work = Work(run.robot, run.task, WorkKind.RETREAT, run.work_iterations)
-        self._request_work(work, end_ns + retreat_ns)
+        self._request_work(run.work(WorkKind.RETREAT), end_ns + self._retreat_ns)
         self._calendar.schedule(end_ns, EventPriority.EXECUTION_END, run.robot)
 
     def _execute_reach(self, run: TaskRun) -> None:
-        run.checking = False
+        run.check = None
+        run.attempts += 1
         run.enter(State.EXECUTING, self.now_ns)
-        end_ns = self.now_ns + nanoseconds(self._config.reach_execution_s)
-        self._calendar.schedule(end_ns, EventPriority.EXECUTION_END, run.robot)
+        end_ns = self.now_ns + self._reach_ns
+        kind = WorkKind.REACH if run.misses else None  # None: it cannot miss
+        self._schedule(run, end_ns, EventPriority.EXECUTION_END, kind)
 
     def _end_task(self, run: TaskRun, status: Status) -> None:
         self.records.append(run.finish(status, self.now_ns))
@@ -323,8 +338,8 @@ class EventHandlers:
         run.requests += 1
         if run.first_bid is None:
             run.first_bid = run.reach_iterations
-        iteration = run.work_iterations - 1 if run.work_iterations else None
-        self._log(EventKind.BID, run, request=run.request, iteration=iteration, gain=bid)
+        ended = run.last_iteration
+        self._log(EventKind.BID, run, request=run.request, iteration=ended, gain=bid)
         if outcome is AskOutcome.REFUSED:
             self._refuse(run, "busy")
             return
@@ -351,37 +366,26 @@ class EventHandlers:
             seconds += self._config.context_switch_s
         run.enter(State.SERVED, self.now_ns)
         if seconds is None:
-            self._work.request(self._input_work(run), is_open=True)
+            self._work.request(run.work(WorkKind.INPUT), is_open=True)
             self._calendar.schedule(run.deadline_ns, EventPriority.SERVICE_END, run.robot)
             return
         end_ns = self.now_ns + nanoseconds(seconds)
         # A service that would go past the task's limit ends at the limit without an input: the
         # robot would have no time left to use it, and the operator is free for other robots. An
         # input exactly at the limit is in time.
-        work = None
-        if end_ns <= run.deadline_ns:
-            work = self._input_work(run)
-            self._request_work(work, end_ns)
-        self._calendar.schedule(
-            min(end_ns, run.deadline_ns), EventPriority.SERVICE_END, run.robot, work
-        )
-
-    @staticmethod
-    def _input_work(run: TaskRun) -> Work:
-        return Work(run.robot, run.task, WorkKind.INPUT, run.work_iterations, run.request)
-
-    def add_attendance(self, change: Attendance) -> None:
-        """Add a change of an operator's presence that is still to come."""
-        bisect.insort(self._attendance, change, key=_by_time)
-        self._schedule_attendance()
-
-    def _schedule_attendance(self) -> None:
-        if self._attendance:
-            self._calendar.schedule(
-                self._attendance[0].time_ns, EventPriority.ATTENDANCE, OPERATORS
-            )
+        kind = WorkKind.INPUT if end_ns <= run.deadline_ns else None
+        self._schedule(run, min(end_ns, run.deadline_ns), EventPriority.SERVICE_END, kind)
 
     # --- helpers --------------------------------------------------------------------------------
+
+    def _schedule(
+        self, run: TaskRun, end_ns: int, priority: EventPriority, kind: WorkKind | None
+    ) -> None:
+        """Schedule the robot's next event, and request the work whose result it needs, if any."""
+        work = None if kind is None else run.work(kind)
+        if work is not None:
+            self._request_work(work, end_ns)
+        self._calendar.schedule(end_ns, priority, run.robot, work)
 
     def _request_work(self, work: Work, needed_ns: int) -> None:
         """Request work, unless its result is needed only after the horizon."""

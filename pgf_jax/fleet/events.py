@@ -12,6 +12,7 @@ class EventKind(enum.StrEnum):
 
     TASK_START = "task_start"
     ITERATION = "iteration"  # ended; outcome feasible, stuck or None; pushing: `object` is set
+    CHECK = "check"  # of a feasible reach; outcome passed, missed; only where checks are real
     BID = "bid"  # an ask, under any policy; `gain` is the bid
     WINDOW_OPEN = "window_open"  # by `robot`, whose bid follows
     WINDOW_CLOSE = "window_close"  # no robot; its grants and refusals follow
@@ -20,8 +21,8 @@ class EventKind(enum.StrEnum):
     EXPIRED = "expired"  # while waiting; outcome limit (of the task), censored (the horizon)
     SERVICE_END = "service_end"  # outcome push, go_on; no input: unanswered, expired, censored
     PUSH_DROPPED = "push_dropped"  # no feasible push within the limit
-    EXECUTION_END = "execution_end"  # outcome push, reach
-    RETREAT_END = "retreat_end"
+    EXECUTION_END = "execution_end"  # outcome push, reach; missed: a reach that did not grasp
+    RETREAT_END = "retreat_end"  # after a push, whose `object` is set, or after a missed reach
     TASK_END = "task_end"  # outcome: the Status
     OPERATOR_AWAY = "operator_away"  # no robot; serves nobody else from now on
     OPERATOR_BACK = "operator_back"
@@ -36,17 +37,18 @@ class Event(NamedTuple):
 
     Attributes:
       time_ns: simulated time, ns.
-      kind: what happened; see `EventKind`.
+      kind: what happened; see `EventKind`. `check` is there only in fleets whose final checks are
+        real rollouts.
       robot: the robot, 0-based.
       task: the robot's task, 0-based.
       request: the service of the task that is asked for or given, 0-based. An ask that was refused
         is repeated under the same number, because the service time is drawn by this number.
       operator: the operator, 0-based.
       iteration: the last iteration that has ended, counted over the task as in `Work`.
-      gain: an iteration's gain; a bid's value.
+      gain: an iteration's gain, or what it is after a check that missed; a bid's value.
       object: the object to push, 0-based.
       x, y: the target of the object's centre, m.
-      outcome: see `EventKind`.
+      outcome: see `EventKind`. `missed` is there only in fleets whose checks or reaches may miss.
     """
 
     time_ns: int

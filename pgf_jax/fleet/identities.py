@@ -14,6 +14,7 @@ from pgf_jax.fleet.events import ENDS_OF_WAITING, Event, EventKind
 from pgf_jax.fleet.metrics import window_sizes
 from pgf_jax.fleet.policies import Discipline, make_policy
 from pgf_jax.fleet.records import TaskRecord
+from pgf_jax.planning.types import Status
 
 
 def verify(config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]) -> int:
@@ -42,12 +43,13 @@ def identity_sides(
     2^51 ns, 26 days of simulated time.
 
     Args:
-      config: the fleet's settings.
+      config: the fleet's settings; `Fleet` must have been given no other compute model than theirs.
       records: its task records, in any order.
       events: its event log, in order.
 
     Returns:
-      name -> (left, right), in ns or as a count.
+      name -> (left, right), in ns or as a count. Those of checks and attempts are there only where
+      the records count them.
     """
     return (
         _ask_identities(records, events)
@@ -55,6 +57,8 @@ def identity_sides(
         | _integral_identities(records, events)
         | _robot_identities(config, records, events)
         | _task_identities(records, events)
+        | _attempt_identities(config, records, events)
+        | _check_identities(config, records, events)
     )
 
 
@@ -228,6 +232,108 @@ def _task_identities(
             duration,
         )
     return found
+
+
+# -- checks and attempts -----------------------------------------------------------------------
+
+
+def _attempt_identities(
+    config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
+) -> dict[str, tuple[int, int]]:
+    """Solved means grasped; planning and execution follow from the numbers of their parts.
+
+    The times are of tasks that ended by themselves: the horizon cuts parts off in the middle.
+    """
+    if all(record.attempts is None for record in records):
+        return {}
+    ended = [record for record in records if record.status is not Status.CENSORED]
+    tasks = {(record.robot, record.task) for record in ended}
+    own = [event for event in events if (event.robot, event.task) in tasks]
+    reaches = Counter(event.outcome for event in own if event.kind is EventKind.EXECUTION_END)
+    iterations = sum(event.kind is EventKind.ITERATION for event in own)
+    attempts = sum(record.attempts or 0 for record in ended)
+    push_ns, reach_ns, retreat_ns, rollout_ns = map(
+        nanoseconds,
+        (
+            config.push_execution_s,
+            config.reach_execution_s,
+            config.retreat_s,
+            config.rollout_time_s,
+        ),
+    )
+    pushes = sum(record.pushes_succeeded for record in ended)
+    found = {
+        "solved tasks = reaches that grasped": (
+            sum(record.status is Status.SOLVED for record in ended),
+            reaches["reach"],
+        ),
+        "reaches executed, of events and of records": (
+            reaches["reach"] + reaches["missed"],
+            attempts,
+        ),
+        "execution = pushes + reaches + retreats": (
+            sum(nanoseconds(record.execution_s) for record in ended),
+            pushes * push_ns + attempts * reach_ns + (pushes + reaches["missed"]) * retreat_ns,
+        ),
+    }
+    if config.compute == "dedicated":
+        # A check without an outcome is followed by the reach's execution.
+        checks = (r.attempts if r.checks is None else r.checks for r in ended)
+        # An iteration is two rollouts, an iteration 0 is one; records do not count the latter.
+        rollouts = iterations + sum(r.iterations for r in ended) + sum(n or 0 for n in checks)
+        planning_ns = sum(nanoseconds(r.planning_time_s) for r in ended)
+        windows_ns = sum(nanoseconds(r.window_wait_s) for r in ended)
+        found["planning = windows + rollouts"] = (
+            planning_ns,
+            windows_ns + rollouts * rollout_ns,
+        )
+    return found
+
+
+def _check_identities(
+    config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
+) -> dict[str, tuple[int, int]]:
+    """Every check passes or misses, and every reach is executed right after the one that passed."""
+    if all(record.checks is None for record in records):
+        return {}
+    outcomes = Counter(event.outcome for event in events if event.kind is EventKind.CHECK)
+    checks, misses, attempts = (
+        sum(getattr(record, name) or 0 for record in records)
+        for name in ("checks", "check_misses", "attempts")
+    )
+    found = {
+        "checks, of events and of records": (outcomes["passed"] + outcomes["missed"], checks),
+        "missed checks, of events and of records": (outcomes["missed"], misses),
+        "passed checks of events = reaches executed of records": (outcomes["passed"], attempts),
+    }
+    executing, execution_ns, booked_ns = set(), Counter(), Counter()
+    for event in events:
+        if _begins_execution(event):
+            executing.add(event.robot)
+            execution_ns[event.robot] -= event.time_ns
+        elif event.robot in executing and _ends_execution(event):
+            executing.remove(event.robot)
+            execution_ns[event.robot] += event.time_ns
+    for record in records:
+        booked_ns[record.robot] += nanoseconds(record.execution_s)
+    for robot in range(config.robots):
+        name = f"execution of robot {robot}, of events and of its records"
+        found[name] = execution_ns[robot], booked_ns[robot]
+    return found
+
+
+def _begins_execution(event: Event) -> bool:
+    if event.kind is EventKind.ITERATION:
+        return event.object is not None and event.outcome == "feasible"
+    return event.kind is EventKind.CHECK and event.outcome == "passed"
+
+
+def _ends_execution(event: Event) -> bool:
+    """After a push and after a miss the retreat is part of it."""
+    return event.kind in (EventKind.RETREAT_END, EventKind.TASK_END)
+
+
+# -- sums --------------------------------------------------------------------------------------
 
 
 def _spent_ns(record: TaskRecord) -> int:

@@ -45,7 +45,7 @@ class CellSummary:
       operators: number of operators.
       seed: the fleet's seed.
       tasks: number of tasks that ended by themselves.
-      solved: number of these tasks that were solved.
+      solved: number of these tasks that were solved; in fleets whose reaches may miss: grasped.
       timed_out: number of these tasks that ran out of time and were not stuck.
       stuck: number of these tasks that ran out of time while stuck.
       failed_non_finite: number of these tasks that ran out of time with a cost that is not finite.
@@ -78,6 +78,11 @@ class CellSummary:
       windows: number of windows that were closed.
       window_size_mean: mean number of bids in a window at its close.
       window_size_max: largest number of bids in a window at its close.
+      first_attempt: rate of tasks solved by the first reach that was executed, among those that
+        ended; only in fleets whose checks are real or whose reaches may miss.
+      grasp_misses: executed reaches that missed, of all tasks that ended; as `first_attempt`.
+      checks: final checks of all tasks that ended; only in fleets whose checks are real.
+      check_misses: those of them that missed; as `checks`.
     """
 
     policy: str
@@ -117,6 +122,10 @@ class CellSummary:
     windows: int
     window_size_mean: float
     window_size_max: int
+    first_attempt: Interval | None = None
+    grasp_misses: Interval | None = None
+    checks: Interval | None = None
+    check_misses: Interval | None = None
 
     def row(self) -> dict[str, str | int | float]:
         """The summary as a flat row; see `flat_row`."""
@@ -124,14 +133,17 @@ class CellSummary:
 
 
 def flat_row(summary: Any) -> dict[str, str | int | float]:
-    """Make a dataclass a flat row; an interval becomes NAME, NAME_low, NAME_high and NAME_n."""
+    """Make a dataclass a flat row; an interval becomes NAME, NAME_low, NAME_high and NAME_n.
+
+    A field that is None is left out.
+    """
     row: dict[str, str | int | float] = {}
     for field in dataclasses.fields(summary):
         value = getattr(summary, field.name)
         if isinstance(value, Interval):
             row[field.name] = value.mean
             row |= {f"{field.name}_{k}": getattr(value, k) for k in ("low", "high", "n")}
-        else:
+        elif value is not None:
             row[field.name] = value
     return row
 
@@ -188,6 +200,9 @@ def summarise(
     def pooled(name: str) -> Interval:
         return mean_interval([value for record in ended for value in getattr(record, name)])
 
+    checks = any(record.checks is not None for record in records)
+    attempts = any(record.attempts is not None for record in records)
+    first = rate_interval(sum(record.first_attempt for record in ended), len(ended))
     return CellSummary(
         policy=config.policy,
         robots=config.robots,
@@ -226,6 +241,8 @@ def summarise(
         windows=len(sizes),
         window_size_mean=float(np.mean(sizes)) if sizes else math.nan,
         window_size_max=max(sizes, default=0),
+        **({"first_attempt": first, "grasp_misses": mean("grasp_misses")} if attempts else {}),
+        **({name: mean(name) for name in ("checks", "check_misses")} if checks else {}),
     )
 
 

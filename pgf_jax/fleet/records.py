@@ -13,11 +13,11 @@ class State(enum.StrEnum):
     """What a robot does; its time is booked under exactly one state at a time."""
 
     IDLE = "idle"
-    PLANNING = "planning"  # iterations of reaching and pushing, and the final check
+    PLANNING = "planning"  # iterations of reaching and pushing, and final checks
     IN_WINDOW = "in_window"  # waiting, from its bid to the window's end
     IN_LINE = "in_line"  # waiting for an operator in the queue
     SERVED = "served"
-    EXECUTING = "executing"  # a push and its retreat, or the reach
+    EXECUTING = "executing"  # a push and its retreat, or a reach and the retreat after a miss
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,11 +33,11 @@ class TaskRecord:
       task: the robot's task, 0-based.
       status: how the task ended.
       planning_time_s: the main metric: time of iterations of reaching and pushing, first rollouts,
-        the final check and window waits, s; not of line waits, interaction, execution or retreat.
+        final checks and window waits, s; not of line waits, interaction, execution or retreat.
       waiting_s: time waiting in windows and in line, s.
       window_wait_s: time waiting in windows, s.
       interaction_s: time being served, s.
-      execution_s: time executing pushes, retreats and the reach, s.
+      execution_s: time executing pushes, reaches and retreats, s.
       start_ns: simulated time of the task's start, ns.
       end_ns: simulated time of the task's end, ns.
       iterations: iterations of reaching and pushing that have ended, without iteration 0s.
@@ -66,6 +66,11 @@ class TaskRecord:
       non_finite: iterations in which some rollout's cost was not finite.
       non_finite_at: numbers of these iterations, in order, as in `Work` and in ITERATION events.
       saturated: rollouts with a knot end at which every contact slot was in use.
+      checks: final checks that have ended; only in fleets whose checks are real rollouts, else
+        None.
+      check_misses: those that missed; as `checks`.
+      attempts: executions of a reach that began; only in fleets whose checks are real or whose
+        reaches may miss, else None. The last one grasped if the task is solved.
     """
 
     robot: int
@@ -98,6 +103,21 @@ class TaskRecord:
     non_finite: int
     non_finite_at: tuple[int, ...]
     saturated: int
+    checks: int | None = None
+    check_misses: int | None = None
+    attempts: int | None = None
+
+    @property
+    def first_attempt(self) -> bool:
+        """Whether the first reach that was executed solved the task; False without `attempts`."""
+        return self.status is Status.SOLVED and self.attempts == 1
+
+    @property
+    def grasp_misses(self) -> int | None:
+        """Reaches that were executed and missed, or None; one cut off by the horizon counts."""
+        if self.attempts is None:
+            return None
+        return self.attempts - (self.status is Status.SOLVED)
 
     @property
     def task_time_s(self) -> float:

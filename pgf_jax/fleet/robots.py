@@ -11,9 +11,14 @@ class WorkKind(enum.StrEnum):
     """What a robot's computer, or its operator, has to do."""
 
     ITERATION = "iteration"  # one planner iteration of the current segment -> IterationResult
-    RETREAT = "retreat"  # execute the push found, retract, restart reaching from there -> None
+    # Execute the push found, or leave the reach that missed; retract, restart reaching from there
+    # -> None.
+    RETREAT = "retreat"
     # The operator's input for the robot's present state -> Push, None: go on, or UNANSWERED.
     INPUT = "input"
+    # Roll the next feasible candidate of the last iteration out in the world -> CheckResult.
+    CHECK = "check"
+    REACH = "reach"  # execute the reach in the world where the robot acts -> ReachResult
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,10 +30,12 @@ class Work:
       task: 0-based, counted by robot.
       kind: what has to be done.
       iteration: ITERATION: its number over the whole task, iteration 0s of every segment included;
-        otherwise the number of iterations of the task that have ended.
+        CHECK: the number of the iteration whose candidates are checked; otherwise the number of
+        iterations of the task that have ended.
       request: INPUT: number of the service, 0-based; otherwise None. An input is a work item
         because an operator may try candidate pushes by rollouts, which are computed in the batch
         that all robots share; an operator that needs no rollouts answers at once.
+      check: CHECK: number of the check within its iteration, 0-based; otherwise None.
     """
 
     robot: int
@@ -36,6 +43,7 @@ class Work:
     kind: WorkKind
     iteration: int
     request: int | None = None
+    check: int | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +72,38 @@ class IterationResult:
     saturated: int = 0
 
 
-Result = IterationResult | Push | NoInput | None  # of a work item; see `WorkKind`
+@dataclasses.dataclass(frozen=True)
+class CheckResult:
+    """The outcome of a check: a feasible candidate of an iteration, rolled out in the world.
+
+    Attributes:
+      passed: the candidate reaches the goal there, too.
+      more: another feasible candidate of this iteration may be checked; matters after a miss only.
+      result: the iteration's outcome as it stands after this check: `feasible` is `passed`; terms,
+        cost and stuck are of the best trajectory that no check has refuted; the gain is nan unless
+        the check missed. What its rollouts lost (`non_finite`, `saturated`) is not counted again.
+    """
+
+    passed: bool
+    more: bool
+    result: IterationResult
+
+
+@dataclasses.dataclass(frozen=True)
+class ReachResult:
+    """The outcome of a reach that was executed.
+
+    Attributes:
+      grasped: the hand holds the goal: the task is solved.
+      distance_m: from the hand to the goal at its end, m.
+    """
+
+    grasped: bool
+    distance_m: float
+
+
+# Of a work item; see `WorkKind`.
+Result = IterationResult | CheckResult | ReachResult | Push | NoInput | None
 
 
 class Robots(Protocol):
@@ -74,7 +113,21 @@ class Robots(Protocol):
     iteration 0, the nominal's own rollout. A robot has at most one work item outstanding, and no
     method is called for the robot meanwhile. So an item may be computed from the robot's state at
     any time between the item's dispatch and the delivery of its result.
+
+    The two properties stay as they are for as long as the robots live. Where both are False, a
+    feasible reach is solved: its final check takes time and has no outcome, and no CHECK or REACH
+    is asked for.
     """
+
+    @property
+    def verified(self) -> bool:
+        """Whether checks have outcomes: a CHECK is asked for before a reach is executed."""
+        ...
+
+    @property
+    def misses(self) -> bool:
+        """Whether a reach may miss when it is executed: a REACH is asked for."""
+        ...
 
     def begin(self, robot: int, task: int) -> None:
         """Begin task number `task`: a new scene and a reach segment."""

@@ -24,10 +24,11 @@ the same times give the same log again.
 import math
 from collections.abc import Iterable
 
+from pgf_jax.fleet.attendance import Attendance, AttendanceSchedule
 from pgf_jax.fleet.compute import ComputeModel, parse_compute
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.event_calendar import Calendar, EventPriority, nanoseconds
-from pgf_jax.fleet.event_handlers import Attendance, EventHandlers
+from pgf_jax.fleet.event_handlers import EventHandlers
 from pgf_jax.fleet.operator_pool import OperatorPool
 from pgf_jax.fleet.robots import Result, Robots, Work
 from pgf_jax.fleet.service import LogNormal, ServiceTimes
@@ -70,6 +71,7 @@ class Fleet:
             math.inf if config.horizon_s is None else nanoseconds(config.horizon_s)
         )
         self._work = WorkTracker()
+        self._attendance = AttendanceSchedule(attendance, self._calendar)
         self._handlers = EventHandlers(
             config,
             robots,
@@ -77,7 +79,7 @@ class Fleet:
             self._work,
             service=service or LogNormal(config.seed, config.service_mean_s, config.service_sd_s),
             compute=compute or parse_compute(config.compute, rollouts=config.rollouts),
-            attendance=attendance,
+            attendance=self._attendance,
         )
         self.events = self._handlers.events
         self.records = self._handlers.records
@@ -136,7 +138,7 @@ class Fleet:
 
     def set_attendance(self, operator: int, present: bool) -> None:
         """Let an operator come or leave at the first instant not advanced to."""
-        self._handlers.add_attendance(Attendance(self._next_instant_ns(), operator, present))
+        self._attendance.add(Attendance(self._next_instant_ns(), operator, present))
 
     def stop(self) -> None:
         """End the fleet early: the horizon becomes the first instant not advanced to."""

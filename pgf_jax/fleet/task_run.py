@@ -5,7 +5,7 @@ import math
 
 from pgf_jax.fleet.policies import TaskProgress
 from pgf_jax.fleet.records import NO_TERMS, State, TaskRecord
-from pgf_jax.fleet.robots import IterationResult
+from pgf_jax.fleet.robots import CheckResult, IterationResult, Work, WorkKind
 from pgf_jax.planning.types import LOOK_AHEAD, NoInput, Push, Status
 
 
@@ -17,6 +17,8 @@ class TaskRun:
     task: int
     start_ns: int
     deadline_ns: int  # the task's limit; execution does not count, so it moves the limit
+    verified: bool = False  # see `Robots`
+    misses: bool = False  # see `Robots`
     state: State = State.PLANNING
     since_ns: int = 0
     spent_ns: dict[State, int] = dataclasses.field(default_factory=lambda: dict.fromkeys(State, 0))
@@ -26,12 +28,15 @@ class TaskRun:
     push_deadline_ns: int = 0
     nominal_done: bool = False  # the segment's iteration 0 has ended
     stuck: bool = False  # after its last iteration
-    checking: bool = False  # the final check of a feasible reach is under way
+    check: int | None = None  # number of the final check under way, within its iteration
 
     work_iterations: int = 0  # iteration 0s included: the next iteration's number in `Work`
     iterations: int = 0
     reach_iterations: int = 0
     since_restart: int = 0  # reach iterations since the segment began or since the last input
+    checks: int = 0  # with an outcome, that have ended
+    check_misses: int = 0
+    attempts: int = 0  # executions of a reach that began
     pushes_planned: int = 0
     requests: int = 0
     answered: int = 0
@@ -72,11 +77,34 @@ class TaskRun:
             self.reach_iterations += self.push is None
             self.since_restart += self.push is None
         self.nominal_done = True
+        self._take_outcome(result)
+
+    def count_check(self, check: CheckResult) -> None:
+        """Count a check that has ended; the last iteration's outcome is now what the check says."""
+        self.checks += 1
+        self.check_misses += not check.passed
+        self._take_outcome(check.result)
+
+    def _take_outcome(self, result: IterationResult) -> None:
         self.stuck = result.stuck
         if self.push is None:
             self.last_reach = result
             if self.helped_cost and self.reach_iterations <= self.helped_until:
                 self.helped_cost[-1] = result.cost
+
+    @property
+    def last_iteration(self) -> int | None:
+        """Number of the last iteration that has ended, as in `Work`; None before the first."""
+        return self.work_iterations - 1 if self.work_iterations else None
+
+    def work(self, kind: WorkKind) -> Work:
+        """The task's next work item of a kind."""
+        number, request, check = self.work_iterations, None, None
+        if kind is WorkKind.INPUT:
+            request = self.request
+        elif kind is WorkKind.CHECK:
+            number, check = number - 1, self.check
+        return Work(self.robot, self.task, kind, number, request, check)
 
     @property
     def request(self) -> int:
@@ -155,4 +183,7 @@ class TaskRun:
             non_finite=len(self.non_finite_at),
             non_finite_at=tuple(self.non_finite_at),
             saturated=self.saturated,
+            checks=self.checks if self.verified else None,
+            check_misses=self.check_misses if self.verified else None,
+            attempts=self.attempts if self.verified or self.misses else None,
         )

@@ -1,12 +1,21 @@
 """Tracks work items from request to result."""
 
-from pgf_jax.fleet.robots import IterationResult, Result, Work, WorkKind
+from pgf_jax.fleet.robots import (
+    CheckResult,
+    IterationResult,
+    ReachResult,
+    Result,
+    Work,
+    WorkKind,
+)
 from pgf_jax.planning.types import NoInput, Push
 
 _RESULT_TYPES = {
     WorkKind.ITERATION: IterationResult,
     WorkKind.RETREAT: type(None),
     WorkKind.INPUT: Push | NoInput | None,
+    WorkKind.CHECK: CheckResult,
+    WorkKind.REACH: ReachResult,
 }
 
 

@@ -20,7 +20,7 @@ from pgf_jax.sweeping.columns import TASK_SCHEMA, setting_texts
 from pgf_jax.sweeping.config import SweepConfig
 from pgf_jax.sweeping.summary import FleetsSummary, Paired, paired_frame
 from pgf_jax.tables.forks import FORK_COLUMNS
-from pgf_jax.tables.results import MERGED_EVENT_SCHEMA
+from pgf_jax.tables.results import MERGED_EVENT_SCHEMA, with_attempts
 from pgf_jax.tables.runs import RUN_COLUMNS
 
 _OF_A_CELL = {"policy": "of the cell: its policy", "robots": "of the cell: R, the fleet's size"}
@@ -34,7 +34,7 @@ _OF_AN_INTERVAL = {
 _INTRODUCTION = """\
 A sweep's folder has `tasks.parquet`, `events.parquet`, `summary.csv`, `fleets.csv`, `paired.csv`,
 `fig6.png`, `manifest.json`, `run.json`, and for each cell `cells/KEY.parquet` (one row of two
-columns, `tasks` and `events`: lists of structs with the columns below up to `saturated` and
+columns, `tasks` and `events`: lists of structs with the columns below up to `attempts` and
 `outcome`, without `policy` and `robots`) and `cells/KEY.json`; and `scenes.json`, where scenes were
 given as objects. A session's folder has `events.jsonl` (a line of JSON for each event, without what
 does not apply), and at its end `events.parquet`, `tasks.parquet`, `summary.csv` and `session.json`.
@@ -43,7 +43,12 @@ all sweeps and sessions, so that they can be stacked; `pgf_jax.load_sweep` reads
 Collected data are `autonomous/runs.parquet`, `human/runs.parquet` and `forks/forks.parquet`, each
 beside a `collect.json` with its settings. The metadata of a Parquet file, key `pgf_jax`, say where
 it comes from: settings, seed, versions, code. Checkpoints are in
-[`checkpoints/README.md`](../checkpoints/README.md). What does not apply is null."""
+[`checkpoints/README.md`](../checkpoints/README.md). What does not apply is null.
+
+Some columns, and events of kind `check`, are there only where a fleet's final checks are real
+rollouts or its reaches may miss: `checks`, `check_misses` and `attempts` of tasks; `first_attempt`,
+`grasp_misses`, `checks` and `check_misses` of summaries. Where only some cells of a sweep have them,
+they are null in the others (in CSV files empty)."""
 
 
 class Table(NamedTuple):
@@ -84,7 +89,11 @@ def tables() -> list[Table]:
     paired = attributes(Paired)
     paired |= {"mean": paired["difference"], **_OF_AN_INTERVAL}
     return [
-        Table("tasks.parquet", "one row for each task", _columns(TASK_SCHEMA, tasks)),
+        Table(
+            "tasks.parquet",
+            "one row for each task",
+            _columns(with_attempts(TASK_SCHEMA), tasks),
+        ),
         Table(
             "events.parquet",
             "one row for each event; the columns of settings are those of `tasks.parquet`",

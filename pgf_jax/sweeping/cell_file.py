@@ -23,7 +23,7 @@ from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.sweeping.config import SCENES
 from pgf_jax.tables import results
 from pgf_jax.tables.parquet import LARGEST, decode_table, encode_table, provenance
-from pgf_jax.tables.results import EVENT_SCHEMA, TASK_SCHEMA
+from pgf_jax.tables.results import EVENT_SCHEMA, TASK_SCHEMA, with_attempts
 
 FOLDER = "cells"
 TABLES = {"tasks": TASK_SCHEMA, "events": EVENT_SCHEMA}
@@ -35,7 +35,8 @@ class Content:
     """The content of a cell's file.
 
     Attributes:
-      tasks, events: its tables, of `TASK_SCHEMA` and `EVENT_SCHEMA`.
+      tasks, events: its tables, of `TASK_SCHEMA` (where the fleet has them with the columns of
+        `ATTEMPT_SCHEMA`) and `EVENT_SCHEMA`.
       about: where they come from: `identity`, `config`, and `provenance.origin()`.
     """
 
@@ -165,8 +166,9 @@ def decode(data: bytes, file: Path) -> Content:
         raise BadInput(f"{file}: it does not say what it was computed from")
     tables = []
     for name, schema in TABLES.items():
-        expected = pl.List(pl.Struct(schema))
-        if len(frame) != 1 or frame.schema.get(name) != expected or frame[name].null_count():
+        schemas = [schema, with_attempts(schema)] if name == "tasks" else [schema]
+        expected = [pl.List(pl.Struct(columns)) for columns in schemas]
+        if len(frame) != 1 or frame.schema.get(name) not in expected or frame[name].null_count():
             raise BadInput(f"{file}: expected one row with a list of structs, {name}")
         # An empty list explodes to one null, which is no row.
         rows = frame[name].explode(empty_as_null=False)

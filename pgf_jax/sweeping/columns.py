@@ -109,10 +109,16 @@ def _digests(found: Mapping[str, str], names: Iterable[str]) -> str | None:
 
 
 def merged(tables: Iterable[Content], name: str) -> pl.DataFrame:
-    """The tables of all cells as one.
+    """The tables of all cells as one; a count that only other cells have is null.
 
     Args:
       tables: of the cells.
       name: tasks or events.
     """
-    return pl.concat(labelled(getattr(content, name), content.about) for content in tables)
+    contents = list(tables)
+    frames = [getattr(content, name) for content in contents]
+    if any("attempts" in frame.columns for frame in frames):
+        # Null where a cell lacks them; all cells' columns are in the same order.
+        absent = [pl.lit(None, dtype).alias(n) for n, dtype in results.ATTEMPT_SCHEMA.items()]
+        frames = [f if "attempts" in f.columns else f.with_columns(absent) for f in frames]
+    return pl.concat(labelled(f, c.about) for f, c in zip(frames, contents, strict=True))

@@ -162,9 +162,10 @@ class Report:
 
 
 def summary_tables(summaries: Sequence[CellSummary]) -> Group:
-    """The headline numbers of every policy and fleet size, in two tables that fit 80 columns.
+    """The headline numbers of every policy and fleet size, in tables that fit 80 columns.
 
-    Means are over fleets of several seeds, with half the width of their 95 % intervals.
+    Where checks are real or reaches may miss, a third table says what came of them. Means are over
+    fleets of several seeds, with half the width of their 95 % intervals.
     """
     rows = over_fleets(summaries)
     all_solved = all(row.solved == row.tasks for row in rows)
@@ -191,6 +192,12 @@ def summary_tables(summaries: Sequence[CellSummary]) -> Group:
             _plus_minus(row.utilisation, 2),
             _plus_minus(row.window_size_mean),
         )
+    tries = _table("policy", "R", "1st attempt", "missed grasps", "checks", "missed checks")
+    for row in rows:
+        found = (row.grasp_misses, row.checks, row.check_misses)
+        if row.first_attempt is not None:
+            words = ["" if value is None else _plus_minus(value, 2) for value in found]
+            tries.add_row(row.policy, str(row.robots), _plus_minus(row.first_attempt, 2), *words)
     fleets = max((row.fleets for row in rows), default=0)
     notes = [
         *(["all tasks solved"] if all_solved else []),
@@ -199,8 +206,10 @@ def summary_tables(summaries: Sequence[CellSummary]) -> Group:
         else "one fleet: no interval (--seeds 0 1 2 makes several)",
         "in the task: planning, waiting and service; 1st grant: at which reach iteration;",
         "window: bids in it at its close",
+        *(["1st attempt: success rate of it; the others: of a task"] if tries.row_count else []),
     ]
-    return Group(outcome, help_, *(Text(note) for note in notes))
+    tables = [outcome, help_, *([tries] if tries.row_count else [])]
+    return Group(*tables, *(Text(note) for note in notes))
 
 
 def physics_line(summaries: Sequence[CellSummary], tasks: pl.DataFrame) -> str:

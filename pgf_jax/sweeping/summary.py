@@ -48,7 +48,14 @@ def summary_of(content: Content) -> CellSummary:
 
 def summary_frame(summaries: Iterable[CellSummary]) -> pl.DataFrame:
     """The table of `summary.csv`: one row for each cell."""
-    return pl.DataFrame([summary.row() for summary in summaries], infer_schema_length=None)
+    return _frame([summary.row() for summary in summaries])
+
+
+def _frame(rows: Sequence[dict[str, str | int | float]]) -> pl.DataFrame:
+    """A table of rows; a column that only some rows have is null in the others."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    whole = [{name: row.get(name) for name in columns} for row in rows]
+    return pl.DataFrame(whole, infer_schema_length=None)
 
 
 # -- over fleets ---------------------------------------------------------------------------------
@@ -83,6 +90,11 @@ class FleetsSummary:
       tasks_per_hour: solved tasks per simulated hour, the throughput.
       utilisation: busy share of the operators' time.
       window_size_mean: mean number of bids in a window at its close.
+      first_attempt: rate of tasks solved by the first reach that was executed, among those that
+        ended; only in fleets whose checks are real or whose reaches may miss.
+      grasp_misses: executed reaches that missed, of all tasks that ended; as `first_attempt`.
+      checks: final checks of all tasks that ended; only in fleets whose checks are real.
+      check_misses: those of them that missed; as `checks`.
     """
 
     policy: str
@@ -104,9 +116,13 @@ class FleetsSummary:
     tasks_per_hour: Interval
     utilisation: Interval
     window_size_mean: Interval
+    first_attempt: Interval | None = None
+    grasp_misses: Interval | None = None
+    checks: Interval | None = None
+    check_misses: Interval | None = None
 
 
-_RATES = ("success", "helped", "utilisation")
+_RATES = ("success", "helped", "utilisation", "first_attempt")
 _OVER_FLEETS = [f.name for f in dataclasses.fields(FleetsSummary)][6:]
 
 
@@ -117,7 +133,7 @@ def over_fleets(summaries: Iterable[CellSummary]) -> list[FleetsSummary]:
         groups.setdefault((summary.policy, summary.robots), []).append(summary)
 
     def interval(fleets: list[CellSummary], name: str) -> Interval:
-        values = [getattr(fleet, name) for fleet in fleets]
+        values = [value for fleet in fleets if (value := getattr(fleet, name)) is not None]
         means = [value.mean if isinstance(value, Interval) else value for value in values]
         found = mean_interval([mean for mean in means if not math.isnan(mean)])
         if math.isnan(found.low):
@@ -133,7 +149,11 @@ def over_fleets(summaries: Iterable[CellSummary]) -> list[FleetsSummary]:
             fleets=len(fleets),
             tasks=sum(fleet.tasks for fleet in fleets),
             solved=sum(fleet.solved for fleet in fleets),
-            **{name: interval(fleets, name) for name in _OVER_FLEETS},
+            **{
+                name: interval(fleets, name)
+                for name in _OVER_FLEETS
+                if any(getattr(fleet, name) is not None for fleet in fleets)
+            },
         )
         for (policy, robots), fleets in groups.items()
     ]
@@ -141,7 +161,7 @@ def over_fleets(summaries: Iterable[CellSummary]) -> list[FleetsSummary]:
 
 def fleets_frame(rows: Iterable[FleetsSummary]) -> pl.DataFrame:
     """The table of `fleets.csv`: one row for each policy and fleet size."""
-    return pl.DataFrame([flat_row(row) for row in rows], infer_schema_length=None)
+    return _frame([flat_row(row) for row in rows])
 
 
 # -- differences ---------------------------------------------------------------------------------

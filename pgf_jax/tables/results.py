@@ -4,6 +4,9 @@ A fleet's tables hold one row for each `TaskRecord` (by robot and task) and one 
 the order of the log). The merged tables of a sweep hold the rows of all cells, with the columns
 `policy` and `robots` first, and those of other settings last. A value that does not apply is null.
 Nothing in them depends on the speed of the computer.
+
+Tables of tasks have the columns of `ATTEMPT_SCHEMA` only where some fleet's final checks are real
+or its reaches may miss. They come after the columns of `TASK_SCHEMA`.
 """
 
 import dataclasses
@@ -52,9 +55,16 @@ _OTHER_TYPES: dict[str, dict[str, pl.DataType]] = {
     "non_finite_at": {"non_finite_at": pl.List(pl.Int64())},
     "terms": {"c_d": pl.Float64(), "c_f": pl.Float64(), "c_b": pl.Float64()},
 }
+# Fields of `TaskRecord` that are None in most fleets.
+ATTEMPT_SCHEMA: dict[str, pl.DataType] = {
+    "checks": pl.Int64(),
+    "check_misses": pl.Int64(),
+    "attempts": pl.Int64(),
+}
 TASK_SCHEMA: dict[str, pl.DataType] = {
     column: dtype
     for field in dataclasses.fields(TaskRecord)
+    if field.name not in ATTEMPT_SCHEMA
     for column, dtype in (
         _OTHER_TYPES.get(field.name) or {field.name: _TYPES[field.type]}  # pyright: ignore[reportArgumentType]
     ).items()
@@ -70,6 +80,13 @@ _COSTS = ("asked_cost", "helped_cost")  # lists of numbers, of which some may be
 _OPTIONAL = {"first_bid", "first_grant", "cost", *_TERMS}  # columns of tasks that may be null
 
 
+def with_attempts(schema: Mapping[str, pl.DataType]) -> dict[str, pl.DataType]:
+    """A schema of tasks, with the columns of `ATTEMPT_SCHEMA` at their place."""
+    place = list(schema).index(list(TASK_SCHEMA)[-1]) + 1
+    columns = list(schema.items())
+    return dict([*columns[:place], *ATTEMPT_SCHEMA.items(), *columns[place:]])
+
+
 # -- rows --------------------------------------------------------------------------------------
 
 
@@ -81,22 +98,29 @@ def tasks_frame(
     Args:
       records: the records of one fleet, in any order.
       scene_name: (robot, task) -> name of the scene.
+
+    Returns:
+      The table, of `TASK_SCHEMA`; with the columns of `ATTEMPT_SCHEMA` where the records have them.
     """
     rows = []
-    for record in sorted(records, key=lambda r: (r.robot, r.task)):
+    records = sorted(records, key=_key)
+    for record in records:
         row = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
         row |= dict(zip(_TERMS, row.pop("terms"), strict=True))
         row |= {name: nan_to_null(row[name]) for name in ("cost", *_TERMS)}
         row |= {name: list(row[name]) for name in _COUNTS}
         row |= {name: list(map(nan_to_null, row[name])) for name in _COSTS}
         rows.append(row | {"status": record.status.value, "scene": scene_name(*_key(record))})
-    return pl.DataFrame(rows, schema=TASK_SCHEMA)
+    frame = pl.DataFrame(rows, schema=with_attempts(TASK_SCHEMA))
+    counted = any(record.attempts is not None for record in records)
+    return frame if counted else frame.select(list(TASK_SCHEMA))
 
 
 def task_records(tasks: pl.DataFrame) -> list[TaskRecord]:
     """The task records of a table that `tasks_frame` made."""
     records = []
-    for row in tasks.select(list(TASK_SCHEMA)).drop("scene").iter_rows(named=True):
+    columns = [name for name in with_attempts(TASK_SCHEMA) if name in tasks.columns]
+    for row in tasks.select(columns).drop("scene").iter_rows(named=True):
         terms = [row.pop(name) for name in _TERMS]
         row["terms"] = tuple(map(_nan, terms))
         row["cost"] = _nan(row["cost"])
@@ -169,7 +193,7 @@ def read_results(path: Path | str, schema: Mapping[str, pl.DataType]) -> pl.Data
       schema: its columns: `MERGED_TASK_SCHEMA`, `EVENT_SCHEMA` ...
 
     Returns:
-      The table with the schema's columns, in its order.
+      The table with the schema's columns, in its order; see `conform`.
 
     Raises:
       BadInput: one line that names the file: missing, truncated, corrupt, or with other columns.
@@ -194,12 +218,15 @@ def conform(
       others: keep its other columns, too.
 
     Returns:
-      The table with the schema's columns, in its order.
+      The table with the schema's columns, in its order. A table of tasks that has the columns of
+      `ATTEMPT_SCHEMA` keeps them.
 
     Raises:
       BadInput: one line that names the file and the column: missing, of another type, or with a
         value that no row may have.
     """
+    if "status" in schema and set(frame.columns) & set(ATTEMPT_SCHEMA):
+        schema = with_attempts(schema)
     for column, dtype in schema.items():
         if frame.schema.get(column) != dtype:
             found = frame.schema.get(column, "nothing")

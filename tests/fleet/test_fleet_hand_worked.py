@@ -4,7 +4,7 @@ import dataclasses
 import math
 
 import pytest
-from fleet_script import PUSH, log, run
+from fleet_script import PUSH, log, run, scripted
 
 from pgf_jax.fleet import Fleet, FleetConfig, TaskRecord
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
@@ -274,3 +274,225 @@ def test_always_asks_once_before_planning_and_waits_in_line():
     second = fleet.records[1]
     assert (second.waiting_s, second.window_wait_s, second.interaction_s) == (8.0, 0.0, 8.0)
     assert second.planning_time_s == 1.5 + 1.5 + 1.5  # not the wait in line
+
+
+# -- checks with outcomes, and reaches that miss -----------------------------------------------
+
+
+def test_two_checks_miss_and_the_third_passes():
+    # Iterations end at 1.5 and 4.5; each check takes 1.5 s, the reach 3 s.
+    fleet, robots = run({0: ". f"}, policy="autonomous", checks={(0, 1): ". . p"})
+    assert log(fleet) == [
+        "0 task_start r0.0",
+        "1.5 iteration r0.0 i0",
+        "4.5 iteration r0.0 i1 feasible",
+        "6 check r0.0 i1 missed",
+        "7.5 check r0.0 i1 missed",
+        "9 check r0.0 i1 passed",
+        "12 execution_end r0.0 reach",
+        "12 task_end r0.0 solved",
+    ]
+    assert robots.calls == [("begin", 0, 0)]
+    record = fleet.records[0]
+    assert (record.checks, record.check_misses, record.attempts) == (3, 2, 1)
+    assert (record.iterations, record.reach_iterations) == (1, 1)
+    assert (record.planning_time_s, record.execution_s) == (9.0, 3.0)
+    assert record.first_attempt and record.grasp_misses == 0
+    assert record.cost == 10.0  # of the one that passed
+
+
+def test_after_the_last_miss_planning_goes_on():
+    # Nothing restarts: the next iteration takes 3 s and is the next of its segment.
+    fleet, _ = run({0: "f f"}, policy="autonomous", checks={(0, 0): "w ."})
+    assert log(fleet)[1:] == [
+        "1.5 iteration r0.0 i0 feasible",
+        "3 check r0.0 i0 missed",
+        "4.5 check r0.0 i0 missed",
+        "7.5 iteration r0.0 i1 feasible",
+        "9 check r0.0 i1 passed",
+        "12 execution_end r0.0 reach",
+        "12 task_end r0.0 solved",
+    ]
+    # What a check says of its iteration's rollouts was counted when the iteration ended.
+    assert fleet.records[0].saturated == 0
+    assert (fleet.records[0].checks, fleet.records[0].check_misses) == (3, 2)
+
+
+@pytest.mark.parametrize(
+    ("limit", "end"),
+    [
+        # The iteration ends at 4.5, the checks at 6 and 7.5. No limit stops the first one.
+        (4.5, "6 task_end r0.0 stuck"),
+        (7.4, "6 task_end r0.0 stuck"),
+        (7.5, "10.5 task_end r0.0 solved"),
+    ],
+)
+def test_a_second_check_must_end_by_the_limit(limit, end):
+    fleet, _ = run({0: ". f"}, policy="autonomous", checks={(0, 1): "s p"}, task_limit_s=limit)
+    assert log(fleet)[3] == "6 check r0.0 i1 missed"
+    assert log(fleet)[-1] == end
+    solved = end.endswith("solved")
+    record = fleet.records[0]
+    assert (record.checks, record.check_misses, record.attempts) == (1 + solved, 1, int(solved))
+    assert record.cost == (10.0 if solved else 100.0)
+
+
+def test_a_slow_computer_slows_every_check():
+    # Twice as slow: 3 s, then 3 s a check; the second ends at 9, past the limit of 8.
+    fleet, _ = run(
+        {0: "f"}, policy="autonomous", checks={(0, 0): ". p"}, speeds=(2.0,), task_limit_s=8.0
+    )
+    assert log(fleet)[1:] == [
+        "3 iteration r0.0 i0 feasible",
+        "6 check r0.0 i0 missed",
+        "6 task_end r0.0 timed_out",
+    ]
+
+
+def test_a_last_miss_that_leaves_no_time_ends_the_task_unasked():
+    # At 3 an iteration would end at 6, past 5.9: the robot does not ask although it is stuck.
+    fleet, _ = run({0: "f"}, policy="or-hitl", checks={(0, 0): "s"}, task_limit_s=5.9)
+    assert log(fleet)[2:] == ["3 check r0.0 i0 missed", "3 task_end r0.0 stuck"]
+    fleet, _ = run({0: "f f"}, policy="or-hitl", checks={(0, 0): "s"}, task_limit_s=6.0)
+    assert log(fleet)[3] == "3 bid r0.0 q0 i0 gain=inf"
+
+
+def test_the_last_miss_makes_the_robot_stuck_and_it_bids_at_that_instant():
+    fleet, robots = run({0: "f f"}, policy="or-hitl", checks={(0, 0): ". s"})
+    assert log(fleet) == [
+        "0 task_start r0.0",
+        "1.5 iteration r0.0 i0 feasible",
+        "3 check r0.0 i0 missed",
+        "4.5 check r0.0 i0 missed",
+        "4.5 bid r0.0 q0 i0 gain=inf",
+        "4.5 grant r0.0 q0 o0",
+        "12.5 service_end r0.0 q0 o0 go_on",
+        "15.5 iteration r0.0 i1 feasible",
+        "17 check r0.0 i1 passed",
+        "20 execution_end r0.0 reach",
+        "20 task_end r0.0 solved",
+    ]
+    assert robots.calls == [("begin", 0, 0), ("go_on", 0, None)]
+    record = fleet.records[0]
+    # The cost at the answer is what the last check left, and not that of what it refuted.
+    assert (record.asked_cost, record.helped_cost) == ((100.0,), (10.0,))
+    assert (record.first_bid, record.grants_at) == (0, (0,))
+    assert record.planning_time_s == 1.5 + 3.0 + 3.0 + 1.5
+
+
+def test_after_the_last_miss_a_robot_bids_the_gain_of_then():
+    fleet, _ = run({0: "f f"}, policy="pgf", checks={(0, 0): "9 5"}, inputs={(0, 0, 0): PUSH})
+    assert log(fleet)[2:10] == [
+        "3 check r0.0 i0 gain=9 missed",
+        "4.5 check r0.0 i0 gain=5 missed",
+        "4.5 window_open r0.0",
+        "4.5 bid r0.0 q0 i0 gain=5",
+        "6.5 window_close",
+        "6.5 grant r0.0 q0 o0",
+        "14.5 service_end r0.0 q0 o0 object=3 to=(0.4,0.1) push",
+        "16 iteration r0.0 i1 object=3 feasible",  # a push is executed unchecked
+    ]
+    assert log(fleet)[10:12] == [
+        "19 execution_end r0.0 object=3 push",
+        "20 retreat_end r0.0 object=3",
+    ]
+
+
+def test_a_grasp_that_misses():
+    # The first reach is executed after two iterations; the hand retracts in 1 s and plans again.
+    fleet, robots = run({0: ". f . f"}, policy="autonomous", checks={}, missed={(0, 2)})
+    assert log(fleet) == [
+        "0 task_start r0.0",
+        "1.5 iteration r0.0 i0",
+        "4.5 iteration r0.0 i1 feasible",
+        "6 check r0.0 i1 passed",
+        "9 execution_end r0.0 missed",
+        "10 retreat_end r0.0",
+        "11.5 iteration r0.0 i2",  # a new segment: iteration 0
+        "14.5 iteration r0.0 i3 feasible",
+        "16 check r0.0 i3 passed",
+        "19 execution_end r0.0 reach",
+        "19 task_end r0.0 solved",
+    ]
+    assert robots.calls == [("begin", 0, 0)]
+    record = fleet.records[0]
+    assert (record.checks, record.check_misses, record.attempts) == (2, 0, 2)
+    assert not record.first_attempt and record.grasp_misses == 1
+    assert record.planning_time_s == 4.5 + 1.5 + 4.5 + 1.5
+    assert record.execution_s == 3.0 + 1.0 + 3.0
+
+
+def test_a_grasp_may_miss_where_checks_have_no_outcome():
+    fleet, _ = run({0: "f f"}, policy="autonomous", missed={(0, 1)})
+    assert log(fleet)[1:] == [
+        "1.5 iteration r0.0 i0 feasible",
+        "6 execution_end r0.0 missed",
+        "7 retreat_end r0.0",
+        "8.5 iteration r0.0 i1 feasible",
+        "13 execution_end r0.0 reach",
+        "13 task_end r0.0 solved",
+    ]
+    record = fleet.records[0]
+    assert (record.checks, record.check_misses, record.attempts) == (None, None, 2)
+
+
+@pytest.mark.parametrize(
+    ("limit", "end"),
+    [
+        # The check ends at 3, the reach misses at 6, the hand is back at 7: the limit moves by 4 s.
+        # Iterations end at 8.5 and 11.5.
+        (7.5, ["11.5 iteration r0.0 i2", "11.5 task_end r0.0 timed_out"]),
+        (7.4, ["8.5 iteration r0.0 i1", "8.5 task_end r0.0 timed_out"]),
+        (4.4, ["7 retreat_end r0.0", "7 task_end r0.0 timed_out"]),
+    ],
+)
+def test_a_missed_grasp_does_not_count_against_the_limit(limit, end):
+    fleet, _ = run(
+        {0: "f . ."}, policy="autonomous", checks={}, missed={(0, 1)}, task_limit_s=limit
+    )
+    assert log(fleet)[3:5] == ["6 execution_end r0.0 missed", "7 retreat_end r0.0"]
+    assert log(fleet)[-2:] == end
+
+
+def test_a_new_segment_after_a_missed_grasp_is_not_stuck():
+    fleet, _ = run({0: "f"}, policy="autonomous", checks={(0, 0): "s p"}, missed={(0, 1)},
+                   task_limit_s=4.6)  # fmt: skip
+    assert log(fleet)[-2:] == ["8.5 retreat_end r0.0", "8.5 task_end r0.0 timed_out"]
+
+
+@pytest.mark.parametrize("horizon", [4.0, 8.0, 9.5])
+def test_the_horizon_cuts_checks_reaches_and_retreats_off(horizon):
+    # The check ends at 6, the reach misses at 9, the hand is back at 10.
+    fleet, _ = run({0: ". f"}, policy="autonomous", checks={}, missed={(0, 2)}, horizon_s=horizon)
+    assert log(fleet)[-1] == f"{horizon:g} task_end r0.0 censored"
+    record = fleet.records[0]
+    assert (record.checks, record.attempts) == ((0, 0) if horizon < 6 else (1, 1))
+    assert record.execution_s == max(0.0, horizon - 6.0)
+
+
+def test_work_is_asked_for_once_and_in_this_order():
+    robots = scripted({0: ". f . f"}, checks={(0, 1): ". p"}, missed={(0, 2)})
+    fleet, asked = Fleet(FleetConfig(tasks=1, policy="autonomous"), robots), []
+    while not fleet.done:
+        for work in fleet.advance():
+            asked.append((str(work.kind), work.iteration, work.check))
+            fleet.deliver(work, robots.compute(work))
+    assert asked == [
+        ("iteration", 0, None),
+        ("iteration", 1, None),
+        ("check", 1, 0),
+        ("check", 1, 1),
+        ("reach", 2, None),
+        ("retreat", 2, None),
+        ("iteration", 2, None),
+        ("iteration", 3, None),
+        ("check", 3, 0),
+        ("reach", 4, None),
+    ]
+
+
+def test_without_outcomes_nothing_is_counted():
+    fleet, _ = run({0: "f"}, policy="autonomous")
+    record = fleet.records[0]
+    assert (record.checks, record.check_misses, record.attempts) == (None, None, None)
+    assert not record.first_attempt and record.grasp_misses is None

@@ -13,7 +13,15 @@ import numpy as np
 import pytest
 import simpy
 
-from pgf_jax.fleet import EventKind, Fleet, FleetConfig, IterationResult, Work
+from pgf_jax.fleet import (
+    CheckResult,
+    EventKind,
+    Fleet,
+    FleetConfig,
+    IterationResult,
+    ReachResult,
+    Work,
+)
 from pgf_jax.fleet.event_calendar import nanoseconds
 from pgf_jax.fleet.stub import StubRobots, drive
 from pgf_jax.planning.types import Push
@@ -34,6 +42,8 @@ class World:
     p_feasible: float
     p_stuck: float
     p_push: float
+    p_check_miss: float | None = None  # None: checks have no outcome
+    p_grasp_miss: float | None = None  # None: a reach cannot miss
 
     def iterate(self, robot: int, task: int, iteration: int) -> IterationResult:
         u = uniform(self.seed, 1, robot, task, iteration)
@@ -44,6 +54,24 @@ class World:
             terms=(1.0, 0.0, 0.0),
             cost=1.0,
         )
+
+    def check(self, robot: int, task: int, iteration: int, number: int) -> CheckResult:
+        assert self.p_check_miss is not None
+        u = uniform(self.seed, 5, robot, task, iteration, number)
+        passed = bool(u[0] >= self.p_check_miss)
+        result = IterationResult(
+            feasible=passed,
+            stuck=bool(u[1] < self.p_stuck),
+            gain=4 * float(u[2]) - 1,
+            terms=(1.0, 0.0, 0.0),
+            cost=1.0,
+        )
+        return CheckResult(passed, more=bool(u[3] < 0.6) and number < 2, result=result)
+
+    def reach(self, robot: int, task: int, iteration: int) -> ReachResult:
+        assert self.p_grasp_miss is not None
+        u = uniform(self.seed, 6, robot, task, iteration)
+        return ReachResult(bool(u[0] >= self.p_grasp_miss), float(u[1]))
 
     def decide(self, robot: int, task: int, request: int) -> Push | None:
         u = uniform(self.seed, 2, robot, task, request)
@@ -114,11 +142,22 @@ class Model:
                 pushing, fresh, stuck = False, True, False
                 continue
             if result.feasible:
-                factor = world.slowdown(robot, task, iteration, 0)
-                yield env.timeout(round(rollout * factor) + 3 * 10**9)
-                self.note("execution_end", robot, task, outcome="reach")
-                return "solved"
-            if pushing:
+                checked = yield from self.checks(robot, task, iteration, deadline)
+                if isinstance(checked, str):  # no time for the next check
+                    return checked
+                if checked is None:
+                    yield env.timeout(3 * 10**9)
+                    if world.p_grasp_miss is None or world.reach(robot, task, iteration).grasped:
+                        self.note("execution_end", robot, task, outcome="reach")
+                        return "solved"
+                    self.note("execution_end", robot, task, outcome="missed")
+                    yield env.timeout(10**9)
+                    self.note("retreat_end", robot, task)
+                    deadline += 4 * 10**9
+                    fresh, stuck = True, False
+                    continue
+                result, stuck = checked, checked.stuck
+            elif pushing:
                 continue
             if env.now + 2 * rollout > deadline:
                 return "stuck" if stuck else "timed_out"
@@ -149,6 +188,29 @@ class Model:
             if push:
                 pushing, fresh = True, True
                 push_deadline = env.now + nanoseconds(config.push_limit_s)
+
+    def checks(self, robot: int, task: int, iteration: int, deadline: float) -> Process:
+        """Check the candidates of the iteration before `iteration`.
+
+        Returns None: go and execute; an iteration's result: all missed; or how the task ends.
+        """
+        lasts = round(
+            nanoseconds(self.config.rollout_time_s) * self.world.slowdown(robot, task, iteration, 0)
+        )
+        yield self.env.timeout(lasts)
+        if self.world.p_check_miss is None:
+            return None
+        for number in range(3):
+            check = self.world.check(robot, task, iteration - 1, number)
+            self.note("check", robot, task, outcome="passed" if check.passed else "missed")
+            if check.passed:
+                return None
+            if not check.more:
+                return check.result
+            if self.env.now + lasts > deadline:
+                return "stuck" if check.result.stuck else "timed_out"
+            yield self.env.timeout(lasts)
+        raise AssertionError("a fourth check")
 
     def in_window(self, robot: int, task: int, gain: float, deadline: float) -> Process:
         if self.window is None:
@@ -209,10 +271,8 @@ def by_instant(log: list[tuple]) -> list[tuple]:
     return sorted(log, key=lambda row: (row[0], str(row)))
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("operators", [1, 2])
-@pytest.mark.parametrize("policy", ["pgf", "or-hitl", "queue"])
-def test_every_event_matches_an_independent_model(policy, operators, seed):
+def compare(given: World, policy: str, operators: int) -> list[tuple]:
+    """Run both simulations; returns the rows of the model, which are those of the fleet."""
     config = FleetConfig(
         robots=7,
         tasks=3,
@@ -221,21 +281,39 @@ def test_every_event_matches_an_independent_model(policy, operators, seed):
         push_limit_s=8.0,
         task_limit_s=60.0,
     )
-    given = world(policy, seed)
 
     def decide(work: Work) -> Push | None:
         assert work.request is not None
         return given.decide(work.robot, work.task, work.request)
 
-    robots = StubRobots(lambda work: given.iterate(work.robot, work.task, work.iteration), decide)
+    def check(work: Work) -> CheckResult:
+        assert work.check is not None
+        return given.check(work.robot, work.task, work.iteration, work.check)
+
+    robots = StubRobots(
+        lambda work: given.iterate(work.robot, work.task, work.iteration),
+        decide,
+        check=None if given.p_check_miss is None else check,
+        reach=None
+        if given.p_grasp_miss is None
+        else lambda work: given.reach(work.robot, work.task, work.iteration),
+    )
     fleet = Fleet(config, robots, service=given, compute=given)
     drive([(fleet, robots)])
 
     model = Model(config, given)
     model.env.run()
     assert by_instant(rows(fleet)) == by_instant(model.rows)
+    return model.rows
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("operators", [1, 2])
+@pytest.mark.parametrize("policy", ["pgf", "or-hitl", "queue"])
+def test_every_event_matches_an_independent_model(policy, operators, seed):
+    found = compare(world(policy, seed), policy, operators)
     # The case is no trivial one: everything that can happen to an ask does.
-    outcomes = {(row[1], row[5]) for row in model.rows}
+    outcomes = {(row[1], row[5]) for row in found}
     assert {("service_end", "push"), ("push_dropped", None), ("task_end", "solved")} <= outcomes
 
 
@@ -258,3 +336,20 @@ def test_the_cases_above_reach_every_ending_of_an_ask():
         ("task_end", "stuck"),
         ("task_end", "timed_out"),
     } <= seen
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("policy", ["pgf", "or-hitl", "queue"])
+@pytest.mark.parametrize(
+    ("check_miss", "grasp_miss"), [(0.6, None), (None, 0.4), (0.6, 0.4)], ids=str
+)
+def test_checks_and_misses_match_an_independent_model(check_miss, grasp_miss, policy, seed):
+    given = dataclasses.replace(
+        world(policy, seed), p_feasible=0.2, p_check_miss=check_miss, p_grasp_miss=grasp_miss
+    )
+    found = compare(given, policy, operators=1)
+    outcomes = {(row[1], row[5]) for row in found}
+    wanted = {("task_end", "solved")}
+    wanted |= {("check", "missed"), ("check", "passed")} if check_miss else set()
+    wanted |= {("execution_end", "missed")} if grasp_miss else set()
+    assert wanted <= outcomes

@@ -2,10 +2,10 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from pgf_jax.fleet import Fleet, FleetConfig, IterationResult, Work
+from pgf_jax.fleet import CheckResult, Fleet, FleetConfig, IterationResult, ReachResult, Work
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
 from pgf_jax.planning.types import Push
 
@@ -28,10 +28,15 @@ def token(text: str) -> IterationResult:
 def scripted(
     script: Mapping[int | tuple[int, int], str],
     inputs: Mapping[tuple[int, int, int], Push | None] | None = None,
+    checks: Mapping[tuple[int, int], str] | None = None,
+    missed: Collection[tuple[int, int]] | None = None,
 ) -> StubRobots:
     """Robots whose tasks follow `script[robot, task]`, else `script[robot]`, else 'f'.
 
-    Inputs by (robot, task, request); those not given are "go on reaching".
+    Inputs by (robot, task, request); those not given are "go on reaching". Checks by (robot,
+    iteration), a token each: 'p' passes, any other misses and leaves the robot with that outcome;
+    those not given pass, and without `checks` they have no outcome. A reach misses where (robot,
+    iterations before it) is in `missed`; without `missed` none can.
     """
 
     def iterate(work: Work) -> IterationResult:
@@ -42,7 +47,25 @@ def scripted(
         assert work.request is not None
         return (inputs or {}).get((work.robot, work.task, work.request))
 
-    return StubRobots(iterate, decide)
+    def check(work: Work) -> CheckResult:
+        assert checks is not None and work.check is not None
+        text = checks.get((work.robot, work.iteration), "p").split()
+        word = text[work.check]
+        if word == "p":
+            return CheckResult(passed=True, more=False, result=TOKENS["f"])
+        return CheckResult(passed=False, more=work.check + 1 < len(text), result=token(word))
+
+    def reach(work: Work) -> ReachResult:
+        assert missed is not None
+        misses = (work.robot, work.iteration) in missed
+        return ReachResult(grasped=not misses, distance_m=0.05 if misses else 0.0)
+
+    return StubRobots(
+        iterate,
+        decide,
+        check=None if checks is None else check,
+        reach=None if missed is None else reach,
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,12 +92,14 @@ def run(
     script: Mapping[int | tuple[int, int], str],
     *,
     inputs: Mapping[tuple[int, int, int], Push | None] | None = None,
+    checks: Mapping[tuple[int, int], str] | None = None,
+    missed: Collection[tuple[int, int]] | None = None,
     service: float = 8.0,
     speeds: tuple[float, ...] | None = None,
     **config: Any,
 ) -> tuple[Fleet, StubRobots]:
     """Run one fleet of scripted robots to its end; one task a robot unless said."""
-    robots = scripted(script, inputs)
+    robots = scripted(script, inputs, checks, missed)
     config.setdefault("tasks", 1)
     fleet = Fleet(
         FleetConfig(**config),

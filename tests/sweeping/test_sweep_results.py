@@ -16,11 +16,13 @@ from stub_fleets import mixed_fleet, run, solved_after
 
 from pgf_jax.errors import BadInput
 from pgf_jax.files import pdf, png
-from pgf_jax.fleet import WorkKind
+from pgf_jax.fleet import CheckResult, Fleet, FleetConfig, ReachResult, WorkKind
 from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.metrics import CellSummary, Interval, summarise
-from pgf_jax.fleet.stub import outcome
+from pgf_jax.fleet.stub import StubRobots, drive, missed_checks, missed_grasps, outcome
 from pgf_jax.planning.types import Status
+from pgf_jax.sweeping import columns
+from pgf_jax.sweeping.cell_file import Content, decode
 from pgf_jax.sweeping.figure6 import figure6
 from pgf_jax.sweeping.report import BARS, Report, summary_tables
 from pgf_jax.sweeping.resolve import CellSpec
@@ -429,5 +431,136 @@ def test_a_line_of_json_for_each_cell(capsys):
 
 def test_schema_covers_every_field_of_a_record():
     names = {field.name for field in dataclasses.fields(mixed_fleet().records[0])}
-    assert names - {"terms"} <= set(results.TASK_SCHEMA)
-    assert {kind.value for kind in WorkKind} == {"iteration", "retreat", "input"}
+    assert names - {"terms"} <= set(results.with_attempts(results.TASK_SCHEMA))
+    assert set(results.TASK_SCHEMA) & set(results.ATTEMPT_SCHEMA) == set()
+    kinds = {"iteration", "retreat", "input", "check", "reach"}
+    assert {kind.value for kind in WorkKind} == kinds
+
+
+# -- checks and attempts -----------------------------------------------------------------------
+
+COUNTS = ["checks", "check_misses", "attempts"]
+
+
+def unsure(
+    seed: int,
+    check_miss: float | None = 0.4,
+    grasp_miss: float | None = 0.3,
+) -> Fleet:
+    """A fleet whose checks and grasps miss at random; None: they cannot."""
+    iterate = solved_after([1, 2, 3])
+    stub = StubRobots(
+        iterate,
+        check=None if check_miss is None else missed_checks(iterate, check_miss, seed=seed),
+        reach=None if grasp_miss is None else missed_grasps(grasp_miss, seed=seed),
+    )
+    config = FleetConfig(robots=3, tasks=3, policy="or-hitl", seed=seed)
+    fleet = Fleet(config, stub)
+    drive([(fleet, stub)])
+    return fleet
+
+
+def tasks_of(fleet):
+    return results.tasks_frame(fleet.records, lambda robot, task: "x")
+
+
+def about(fleet):
+    """Where a cell comes from, as far as the merged tables need it."""
+    fleet_config = dataclasses.asdict(fleet.config)
+    return {"identity": {"fleet": fleet_config}, "config": {"seed": fleet.config.seed}}
+
+
+@pytest.mark.parametrize(("check_miss", "grasp_miss"), [(0.4, None), (None, 0.3), (0.4, 0.3)])
+def test_tables_of_fleets_with_checks_or_misses(tmp_path, check_miss, grasp_miss):
+    fleet = unsure(1, check_miss, grasp_miss)
+    tasks = tasks_of(fleet)
+    assert tasks.columns == [*results.TASK_SCHEMA, *COUNTS]
+    assert dict(tasks.schema) == results.with_attempts(results.TASK_SCHEMA)
+    assert tasks["attempts"].null_count() == 0
+    assert tasks["checks"].null_count() == (len(tasks) if check_miss is None else 0)
+    records = sorted(fleet.records, key=lambda r: (r.robot, r.task))
+    assert repr(results.task_records(tasks)) == repr(records)
+    path = tmp_path / "tasks.parquet"
+    path.write_bytes(encode_table(tasks))
+    assert results.read_results(path, results.TASK_SCHEMA).equals(tasks)
+    content = Content(tasks, frame_of(fleet), about(fleet))
+    again = decode(content.data(), path)
+    assert again.tasks.equals(tasks) and repr(again.records) == repr(records)
+    assert again.data() == content.data()
+    merged = columns.merged([again], "tasks")
+    assert merged.columns[-len(columns.SETTING_SCHEMA) - 1 :][0] == "task_time_s"
+    assert list(merged.columns) == list(results.with_attempts(columns.TASK_SCHEMA))
+    path.write_bytes(encode_table(merged))
+    assert results.read_results(path, columns.TASK_SCHEMA).equals(merged)
+    with pytest.raises(BadInput, match="column check_misses must be Int64, got nothing"):
+        results.conform(tasks.drop("check_misses"), path, results.TASK_SCHEMA)
+
+
+def test_tables_of_other_fleets_have_no_such_columns(tmp_path):
+    fleet = unsure(1, None, None)
+    tasks = tasks_of(fleet)
+    assert dict(tasks.schema) == results.TASK_SCHEMA
+    # The same bytes as of a table that was made with these columns alone.
+    plain = pl.DataFrame(tasks.rows(), schema=results.TASK_SCHEMA, orient="row")
+    assert encode_table(tasks) == encode_table(plain)
+    assert columns.merged([Content(tasks, frame_of(fleet), about(fleet))], "tasks").columns == (
+        list(columns.TASK_SCHEMA)
+    )
+    summary = summarise(fleet.config, fleet.records, fleet.events)
+    assert not {"checks", "check_misses", "first_attempt", "grasp_misses"} & set(summary.row())
+    assert "first_attempt" not in fleets_frame(over_fleets([summary])).columns
+    assert results.task_records(tasks)[0].attempts is None
+
+
+def test_where_only_some_cells_have_them_the_others_are_null():
+    fleets = [unsure(2, None, None), unsure(3), unsure(4, None, 0.3)]
+    contents = [Content(tasks_of(f), frame_of(f), about(f)) for f in fleets]
+    merged = columns.merged(contents, "tasks")
+    assert merged.columns == list(results.with_attempts(columns.TASK_SCHEMA))
+    nulls = merged.group_by("seed", maintain_order=True).agg(pl.col(COUNTS).null_count())
+    assert nulls.rows() == [(2, 9, 9, 9), (3, 0, 0, 0), (4, 9, 9, 0)]
+    backwards = columns.merged(contents[::-1], "tasks")
+    assert backwards.columns == merged.columns
+    frame = summary_frame([summarise(f.config, f.records, f.events) for f in fleets])
+    assert frame["first_attempt"].null_count() == 1 and frame["checks"].null_count() == 2
+    assert csv(frame).decode().splitlines()[1].endswith("," * 16)  # four intervals
+
+
+def test_metrics_of_checks_by_hand():
+    """One robot, two tasks, every iteration feasible.
+
+    Task 0: its first check misses and its second passes, and the reach grasps. Task 1: the check
+    passes, the reach misses; then again, and it grasps.
+    """
+    iterate = lambda work: outcome(feasible=True)  # noqa: E731
+
+    def check(work):
+        passed = not (work.task == 0 and work.check == 0)
+        return CheckResult(passed, not passed, outcome(feasible=passed))
+
+    stub = StubRobots(
+        iterate,
+        check=check,
+        reach=lambda work: ReachResult(not (work.task == 1 and work.iteration == 1), 0.0),
+    )
+    fleet = Fleet(FleetConfig(tasks=2, policy="autonomous"), stub)
+    drive([(fleet, stub)])
+    summary = summarise(fleet.config, fleet.records, fleet.events)
+    row = summary.row()
+    assert (row["first_attempt"], row["first_attempt_n"]) == (0.5, 2)
+    assert (row["grasp_misses"], row["checks"], row["check_misses"]) == (0.5, 2.0, 0.5)
+    # 1.5 + 2 * 1.5 + 3 s; then 3 + 3 + 1 s and 3 + 3 s.
+    assert row["tasks_per_hour"] == pytest.approx(2 * 3600 / (7.5 + 13.0))
+    assert list(row)[-16:] == [
+        f"{name}{end}"
+        for name in ("first_attempt", "grasp_misses", "checks", "check_misses")
+        for end in ("", "_low", "_high", "_n")
+    ]
+    (over,) = over_fleets([summary])
+    assert over.first_attempt is not None and over.first_attempt.mean == 0.5
+    file = io.StringIO()
+    Console(width=80, file=file).print(summary_tables([summary]))
+    assert "1st attempt" in file.getvalue() and "…" not in file.getvalue()
+    file = io.StringIO()
+    Console(width=80, file=file).print(summary_tables(summaries()))
+    assert "1st attempt" not in file.getvalue()
