@@ -114,6 +114,9 @@ class Robots(Protocol):
     method is called for the robot meanwhile. So an item may be computed from the robot's state at
     any time between the item's dispatch and the delivery of its result.
 
+    After the last check of an iteration has missed, its segment goes on: an operator may be asked,
+    and the next ITERATION is not an iteration 0. After a missed REACH a RETREAT follows.
+
     The two properties stay as they are for as long as the robots live. Where both are False, a
     feasible reach is solved: its final check takes time and has no outcome, and no CHECK or REACH
     is asked for.

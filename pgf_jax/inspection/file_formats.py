@@ -47,8 +47,8 @@ it comes from: settings, seed, versions, code. Checkpoints are in
 
 Some columns, and events of kind `check`, are there only where a fleet's final checks are real
 rollouts or its reaches may miss: `checks`, `check_misses` and `attempts` of tasks; `first_attempt`,
-`grasp_misses`, `checks` and `check_misses` of summaries. Where only some cells of a sweep have them,
-they are null in the others (in CSV files empty)."""
+`grasp_misses`, `checks` and `check_misses` of summaries. Where only some cells of a sweep have
+them, they are null in the others (in CSV files empty)."""
 
 
 class Table(NamedTuple):

@@ -6,6 +6,7 @@ Durations are jittered, so that no two events share an instant and no rule for t
 """
 
 import dataclasses
+import itertools
 from collections.abc import Generator
 from typing import Any
 
@@ -353,3 +354,27 @@ def test_checks_and_misses_match_an_independent_model(check_miss, grasp_miss, po
     wanted |= {("check", "missed"), ("check", "passed")} if check_miss else set()
     wanted |= {("execution_end", "missed")} if grasp_miss else set()
     assert wanted <= outcomes
+
+
+def test_the_cases_above_reach_what_may_follow_a_miss():
+    """After a last miss a robot asks, or plans on; where no check fits, its task ends."""
+    after = set()
+    for policy in ("pgf", "or-hitl", "queue"):
+        for seed in range(4):
+            config = FleetConfig(
+                robots=7, tasks=3, policy=policy, push_limit_s=8.0, task_limit_s=60.0
+            )
+            given = dataclasses.replace(
+                world(policy, seed), p_feasible=0.2, p_check_miss=0.6, p_grasp_miss=0.4
+            )
+            model = Model(config, given)
+            model.env.run()
+            for robot in range(config.robots):
+                own = [row for row in model.rows if row[2] == robot]
+                after |= {
+                    (then[1], then[0] == row[0])
+                    for row, then in itertools.pairwise(own)
+                    if (row[1], row[5]) == ("check", "missed")
+                }
+    asks = {("bid", True), ("window_open", True)}
+    assert after == asks | {("check", False), ("iteration", False), ("task_end", True)}

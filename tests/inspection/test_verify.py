@@ -15,6 +15,7 @@ from pgf_jax.fleet.config import Cell
 from pgf_jax.inspection.config import VerifyConfig
 from pgf_jax.inspection.verify import distance, verify
 from pgf_jax.sweeping import cell_file, worker
+from pgf_jax.sweeping.load import load_sweep
 from pgf_jax.sweeping.summary import csv
 from pgf_jax.sweeping.sweep import sweep
 from pgf_jax.tables.parquet import encode_table
@@ -181,6 +182,32 @@ def test_a_forger_has_much_to_do(out, one):
         "another one when computed again: 4 of 4 tasks end alike, planning times differ by up to "
         "1 s, costs by up to 0"
     )
+
+
+def test_a_sweep_of_which_one_cell_counts_checks(out, one):
+    content = cell_file.read(one)
+    counts = {"checks": 3, "check_misses": 1, "attempts": 2}
+    more = {name: pl.lit(n, pl.Int64()) for name, n in counts.items()}
+    digest = sign(one, dataclasses.replace(content, tasks=content.tasks.with_columns(**more)))
+    manifest = json.loads((out / "manifest.json").read_text())
+    next(c for c in manifest["cells"] if c["file"].endswith(one.name))["sha256"] = digest
+
+    def write(tables):
+        for name, data in tables.items():
+            (out / name).write_bytes(data)
+            manifest["files"][name] = sha256(data)
+        (out / "manifest.json").write_text(json.dumps(manifest))
+
+    write(_remade(out, manifest))
+    assert found(out) == []
+    loaded = load_sweep(out)
+    counted = loaded.tasks.filter(pl.col("attempts").is_not_null())
+    assert counted.select(*counts).unique().rows(named=True) == [counts]
+    assert 0 < len(counted) < len(loaded.tasks)
+    assert loaded.summary["checks"].drop_nulls().to_list() == [3.0]
+    # Without the columns the table is not what follows from the cells.
+    write({"tasks.parquet": encode_table(loaded.tasks.drop(*counts))})
+    assert found(out) == [("tasks.parquet", "edited: it does not follow from the cells")]
 
 
 def _remade(out, manifest):
