@@ -10,6 +10,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.guidance.operators.registry import check_operator
 from pgf_jax.physics.config import PhysicsName, physics_of
 from pgf_jax.physics.engine import check_engine, default_lanes
+from pgf_jax.physics.worlds.config import WorldName
 from pgf_jax.planning.config import (
     PLANNER_OPTIONS,
     SIGMA,
@@ -64,6 +65,9 @@ class CollectConfig:
       operator: who gives input (what to push where) in human runs and forks: heuristic (geometry),
         noisy (heuristic with errors), oracle (tries pushes in simulation), clairvoyant (the same
         with the robot's own noise), or a registered one.
+      world: in which world solutions are checked before a robot executes them, and pushes are
+        executed: solid (a shelf in 3-D of our own), scene (that of the scene file), none (the
+        engine is believed).
       lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       task_limit: simulated time for planning, waiting and interaction in a task, s. The default
@@ -109,6 +113,7 @@ class CollectConfig:
     stuck_excess: NotNegative = 1000.0
     cost_weights: tuple[str, ...] = ()
     physics_constants: tuple[str, ...] = ()
+    world: WorldName = "none"
 
     GROUPS = (  # of options, for the help
         ("scene", ("scenes", "classes", "seed", "log")),

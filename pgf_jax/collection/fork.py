@@ -10,9 +10,9 @@ from typing import Any
 
 import polars as pl
 
+from pgf_jax.batching.places import iterate
 from pgf_jax.batching.requests import (
     Coroutine,
-    Step,
     gather,
     robot_key_path,
     trial_key_path,
@@ -24,6 +24,7 @@ from pgf_jax.guidance.view import View
 from pgf_jax.planning.planner import BatchPlanner, Search, start_world
 from pgf_jax.planning.types import LOOK_AHEAD
 from pgf_jax.scene.scene import Scene, class_of
+from pgf_jax.simulation.task_worlds import WorldSpec
 from pgf_jax.streams import stream
 from pgf_jax.tables.forks import FORK_SCHEMA
 
@@ -37,6 +38,7 @@ def fork(
     keys: int,
     first: int,
     last: int,
+    world: WorldSpec | None = None,
 ) -> Coroutine:
     """Plan a scene alone, and fork one of its states; returns a frame of `FORK_SCHEMA`, or None.
 
@@ -47,11 +49,16 @@ def fork(
       operator: gives the input, as the first in the task.
       keys: futures, each with help and without.
       first, last: reach iterations after which the state may be taken.
+      world: in which solutions are checked; None: the engine is believed.
     """
     search = planner.begin_reach(start_world(scene.positions), scene.goal)
     unsolved: list[Search] = []
+    place = None
+    if world is not None:
+        worlds = world.worlds(scene)
+        place = worlds.to_act(worlds.start())
     for i in range(last + 1):
-        (search,) = yield [Step(search, robot_key_path(seed, 0, 0, i)(0))]
+        search = yield from iterate(planner, search, robot_key_path(seed, 0, 0, i)(0), place)
         if planner.terminate(search):
             break
         if i >= first:
@@ -62,12 +69,19 @@ def fork(
     search = unsolved[int(draw.integers(len(unsolved)))]
     done = int(search.iteration)
     decision_key = (seed, 0, 0, done + 1)
-    push = yield from ask_operator(operator, View.of(search), search, planner, decision_key)
+    push = yield from ask_operator(
+        operator, View.of(search, place=place), search, planner, decision_key
+    )
 
     def futures(given: Any) -> list[Coroutine]:
         return [
             simulate_input(
-                planner, search, given, trial_key_path(*decision_key, key), reach_limit=LOOK_AHEAD
+                planner,
+                search,
+                given,
+                trial_key_path(*decision_key, key),
+                reach_limit=LOOK_AHEAD,
+                place=place,
             )
             for key in range(keys)
         ]

@@ -22,6 +22,7 @@ from pgf_jax.scene.sampling import OBJECTS, sample_scene
 from pgf_jax.scene.scene import Scene
 from pgf_jax.simulation.loop import PlannedFleet, run_fleets
 from pgf_jax.simulation.single_robot import single_robot
+from pgf_jax.simulation.task_worlds import WorldSpec
 from pgf_jax.streams import stream
 
 _STORE_S = 60.0  # for a worker to store what it has after the death of its parent
@@ -117,6 +118,7 @@ def _check_stop() -> None:
 
 def _runs(config: CollectConfig, numbers: Sequence[int]) -> Iterator[Ended]:
     planner_service = planner_service_of(config, OBJECTS)
+    world = WorldSpec.of(config.world, None)
 
     def fleets() -> Iterator[PlannedFleet]:
         for i in numbers:
@@ -132,7 +134,9 @@ def _runs(config: CollectConfig, numbers: Sequence[int]) -> Iterator[Ended]:
                 seed=config.seed + i,
             )
             operator = config.operator if human else "none"
-            yield single_robot(planner_service, scene, fleet, operator=operator, label=i)
+            yield single_robot(
+                planner_service, scene, fleet, operator=operator, world=world, label=i
+            )
 
     # No more at a time than fit in a call, so that its lanes stay full to the end.
     done = run_fleets(fleets(), planner_service, at_once=config.lanes, on_batch=_check_stop)
@@ -144,6 +148,7 @@ def _forks(config: CollectConfig, numbers: Sequence[int]) -> Iterator[Ended]:
     planner_service = planner_service_of(config, OBJECTS)
     operator = make_operator(config.operator)
     scheduler = BatchScheduler(planner_service)
+    world = WorldSpec.of(config.world, None)
     lanes = planner_service.engine.lanes
     waiting = iter(numbers)
     running = 0
@@ -160,6 +165,7 @@ def _forks(config: CollectConfig, numbers: Sequence[int]) -> Iterator[Ended]:
                 keys=config.keys,
                 first=config.ask_from,
                 last=config.ask_to,
+                world=world,
             )
             scheduler.submit(coroutine, lambda frame, i=i: ended.append((i, frame)))
         running -= len(ended)

@@ -10,6 +10,7 @@ from pgf_jax.fleet.config import CLOCK_OPTIONS, ClockSeconds, Gain
 from pgf_jax.fleet.policies import check_policy
 from pgf_jax.guidance.operators.registry import operator_names
 from pgf_jax.physics.config import PhysicsName
+from pgf_jax.physics.worlds.config import WorldName
 from pgf_jax.planning.config import (
     PLANNER_OPTIONS,
     SIGMA,
@@ -94,6 +95,9 @@ class ConsoleConfig:
       stuck_count: iterations with hardly any change after which a robot is stuck.
       stuck_change: a change of the cost below this is hardly any.
       stuck_excess: a winner whose cost is above the best one by more than this counts as no change.
+      world: in which world solutions are checked before a robot executes them, and pushes are
+        executed: solid (a shelf in 3-D of our own), scene (that of the scene file), none (the
+        engine is believed).
       lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       out: folder of the session: its event log, written as it happens, and its tables at the end.
@@ -141,6 +145,7 @@ class ConsoleConfig:
     stuck_excess: NotNegative = 1000.0
     cost_weights: tuple[str, ...] = ()
     physics_constants: tuple[str, ...] = ()
+    world: WorldName = "none"
 
     GROUPS = (  # of options, for the help
         ("fleet", ("robots", "policy", "tasks", "seed")),

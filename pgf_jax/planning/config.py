@@ -20,7 +20,7 @@ EDGE_X, EDGE_Y = (0.20, 0.58), (-0.38, 0.38)  # m, where the centre of an object
 PLANNER_REVISION = 1
 # Options of the commands that plan, in their order in the help.
 PLANNER_OPTIONS = (
-    *("engine", "physics", "physics_constants", "cost", "cost_weights", "update"),
+    *("engine", "world", "physics", "physics_constants", "cost", "cost_weights", "update"),
     *("random_winner", "rollouts"),
     *("sigma", "stomp_h", "stuck_count", "stuck_change", "stuck_excess", "lanes"),
 )

@@ -162,7 +162,10 @@ class BatchPlanner:
         (after,), rounds = self._iterate([search], [key])
         batch = arrays.stack(arrays.pad([search], self.engine.lanes))
         parts = [
-            _asked(search, jax.tree.map(lambda x: np.asarray(x)[0], Rolled(c, r, self._value(batch, r))))
+            _asked(
+                search,
+                jax.tree.map(lambda x: np.asarray(x)[0], Rolled(c, r, self._value(batch, r))),
+            )
             for c, r in rounds
         ]
         return after, jax.tree.map(lambda *xs: np.concatenate(xs), *parts)

@@ -12,6 +12,7 @@ from pgf_jax.fleet.policies import after, check_ask
 from pgf_jax.guidance.operators.registry import check_operator
 from pgf_jax.physics.config import PhysicsName, physics_of
 from pgf_jax.physics.engine import check_engine
+from pgf_jax.physics.worlds.config import WorldName
 from pgf_jax.planning.config import (
     PLANNER_OPTIONS,
     SIGMA,
@@ -57,6 +58,9 @@ class PlanConfig:
         noise), none, or a registered one.
       ask: when the robot asks for input: stuck, gain (the predicted gain is high enough), after:N
         (after N reach iterations since each restart or input), or never.
+      world: in which world solutions are checked before a robot executes them, and pushes are
+        executed: solid (a shelf in 3-D of our own), scene (that of the scene file), none (the
+        engine is believed).
       lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
       predictor: what predicts the gain of input (the cost that it saves): paper or best, as
         shipped; a folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
@@ -100,6 +104,7 @@ class PlanConfig:
     stuck_excess: NotNegative = 1000.0
     cost_weights: tuple[str, ...] = ()
     physics_constants: tuple[str, ...] = ()
+    world: WorldName = "none"
 
     def __post_init__(self) -> None:
         check_fields(self)

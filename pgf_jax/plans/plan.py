@@ -21,6 +21,7 @@ from pgf_jax.scene.scene import Scene
 from pgf_jax.settings import MAX_SEED, check_int, check_type
 from pgf_jax.simulation.loop import run_fleets
 from pgf_jax.simulation.single_robot import single_robot
+from pgf_jax.simulation.task_worlds import WorldSpec
 
 
 @overload
@@ -83,6 +84,7 @@ def iter_plans(
         _check_pair(pair)
     configure_early(config.engine)
     predictor = _load_predictor(config)
+    world = WorldSpec.of(config.world, [scene for scene, _ in scenes])
     sizes = sorted({len(scene.objects) for scene, _ in scenes})
     for n_objects in sizes:  # an engine is compiled for one number of objects
         planner_service = planner_service_of(config, n_objects)
@@ -93,6 +95,7 @@ def iter_plans(
                 config.fleet(seed),
                 operator=config.operator,
                 predictor=predictor,
+                world=world,
                 label=i,
             )
             for i, (scene, seed) in enumerate(scenes)

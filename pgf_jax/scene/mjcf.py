@@ -7,6 +7,7 @@ Values that a file leaves out (mass, friction, the joint's damping) are those of
 objects. A file with other values is refused, because the planar model would not simulate them.
 """
 
+import dataclasses
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -58,7 +59,7 @@ def load_scene(path: str | Path) -> Scene:
     path = check_path("path", path)
     content = read_file(path, _WHAT, _LARGEST)
     try:
-        return _read(content, path.stem)
+        return dataclasses.replace(_read(content, path.stem), source=path.absolute())
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
 

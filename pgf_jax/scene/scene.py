@@ -2,6 +2,7 @@
 
 import dataclasses
 import operator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +31,7 @@ class Scene:
       name: the file's stem, or the preset and seed; names the plan file.
       objects: [N, 3] float64, read-only, (x, y, radius) in metres of each movable object.
       goal: index in `objects` of the object to reach.
+      source: the scene file that it was read from; None: it was not.
 
     Raises:
       BadInput: the scene cannot be simulated; the message names it, the value and what is expected.
@@ -38,6 +40,7 @@ class Scene:
     name: str
     objects: np.ndarray  # [N, 3]
     goal: int
+    source: Path | None = None
 
     def __post_init__(self) -> None:
         try:

@@ -20,6 +20,7 @@ from pgf_jax.scene.sampling import OBJECTS, PRESETS
 from pgf_jax.simulation.planned_robots import PlannedRobots, Robot
 from pgf_jax.simulation.recorded_operator import Recording
 from pgf_jax.simulation.search_cache import SearchCache
+from pgf_jax.simulation.task_worlds import WorldSpec
 from pgf_jax.streams import stream
 
 
@@ -99,6 +100,7 @@ class FleetSpec:
       operator: name of who gives the input.
       predictor: of the numbers that its robots may bid; None: there is none.
       recording: the operator of a recorded session, in place of the one named.
+      world: in which solutions are checked and executed; None: the engine is believed.
     """
 
     config: FleetConfig
@@ -110,6 +112,7 @@ class FleetSpec:
     operator: str
     predictor: GainPredictor | TrueGain | None = None
     recording: Recording | None = None
+    world: WorldSpec | None = None
 
     @functools.cached_property
     def compile_key(self) -> tuple[str, Physics, Planner, int, int]:
@@ -121,7 +124,8 @@ class FleetSpec:
         """What its searches depend on; fleets with equal keys share a `SearchCache`."""
         scenes = self.scenes.digest or self.scenes.scene_class
         recording = None if self.recording is None else self.recording.sha256
-        return self.compile_key, self.config.seed, scenes, self.operator, recording
+        world = None if self.world is None else self.world.key
+        return self.compile_key, self.config.seed, scenes, self.operator, recording, world
 
     def search_cache(
         self, planner_service: PlannerService, operator: AnyOperator | None = None
@@ -132,6 +136,7 @@ class FleetSpec:
             scenes=self.scenes.scene,
             operator=operator or self.recording or make_operator(self.operator),
             seed=self.config.seed,
+            worlds=None if self.world is None else self.world.worlds,
         )
 
     def planned_robots(

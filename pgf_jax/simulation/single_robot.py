@@ -10,6 +10,7 @@ from pgf_jax.scene.scene import Scene
 from pgf_jax.simulation.loop import PlannedFleet
 from pgf_jax.simulation.planned_robots import PlannedRobots
 from pgf_jax.simulation.search_cache import SearchCache
+from pgf_jax.simulation.task_worlds import WorldSpec
 
 
 def single_robot(
@@ -19,6 +20,7 @@ def single_robot(
     *,
     operator: str,
     predictor: GainPredictor | None = None,
+    world: WorldSpec | None = None,
     label: Any = None,
 ) -> PlannedFleet:
     """A fleet of one robot whose one task is `scene`.
@@ -29,6 +31,7 @@ def single_robot(
       config: of the fleet; its seed is also that of the noise.
       operator: who gives input.
       predictor: of what the robot bids.
+      world: see `FleetSpec`.
       label: see `PlannedFleet`.
     """
     cache = SearchCache(
@@ -36,6 +39,7 @@ def single_robot(
         scenes=lambda *_: scene,
         operator=make_operator(operator),
         seed=config.seed,
+        worlds=None if world is None else world.worlds,
     )
     robots = PlannedRobots(cache, predictor=predictor)
     return PlannedFleet(Fleet(config, robots), robots, label)

@@ -1,10 +1,20 @@
 """The worlds of a task: in which its solutions are checked, and in which they are executed."""
 
 import dataclasses
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
 
 from pgf_jax.batching.places import Place
+from pgf_jax.errors import BadInput
 from pgf_jax.physics.engine import World
+
+try:
+    from pgf_jax.physics.worlds.scene import SceneModel, SceneWorld, read_scene_model
+except ImportError:
+    SceneModel = SceneWorld = read_scene_model = None
+from pgf_jax.physics.worlds.solid import SolidWorld
+from pgf_jax.physics.worlds.solid_model import Solid
 from pgf_jax.physics.worlds.world import State, World3D
 from pgf_jax.scene.scene import Scene
 
@@ -35,3 +45,73 @@ class TaskWorlds:
     def to_check(self, state: State, seen: World) -> Place:
         """Where candidates are checked."""
         return self.to_act(state) if self.believed is None else self.believed(seen)
+
+
+@dataclasses.dataclass(frozen=True)
+class WorldSpec:
+    """The world that a fleet's tasks are checked and executed in; can be sent to another process.
+
+    Attributes:
+      name: solid or scene.
+      models: scene: of each scene file, by the scene's name.
+    """
+
+    name: str
+    models: tuple[tuple[str, SceneModel], ...] = ()
+
+    @classmethod
+    def of(cls, name: str, scenes: Sequence[Scene] | None) -> "WorldSpec | None":
+        """The world of a name, and what it needs of the scenes; None: there is none.
+
+        Args:
+          name: solid, scene or none.
+          scenes: of all tasks; None: they are sampled.
+
+        Raises:
+          BadInput: a scene's file holds no world.
+        """
+        if name == "none":
+            return None
+        if name == "solid":
+            return cls(name)
+        models = []
+        for scene in scenes or ():
+            if scene.source is None:
+                raise BadInput(
+                    f"world scene: scene {scene.name} is of no scene file, expected *.xml"
+                )
+            models.append((scene.name, read_scene_model(scene.source)))
+        if not models:
+            raise BadInput("world scene: expected scene files (*.xml), got sampled scenes")
+        return cls(name, tuple(models))
+
+    def worlds(self, scene: Scene, robot: int = 0, task: int = 0) -> TaskWorlds:
+        """The worlds of a task."""
+        if self.name == "solid":
+            return TaskWorlds(scene, _solid(len(scene.objects)))
+        return TaskWorlds(scene, _scene(self._model(scene.name)))
+
+    def _model(self, name: str) -> SceneModel:
+        return dict(self.models)[name]
+
+    @property
+    def key(self) -> Hashable:
+        """What the results in it depend on."""
+        return self.name, tuple((name, model.digest) for name, model in self.models)
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The same, as JSON."""
+        if self.name == "solid":
+            return {"name": self.name, **dataclasses.asdict(Solid())}
+        return {"name": self.name, "models": {name: model.digest for name, model in self.models}}
+
+
+@functools.lru_cache(maxsize=8)
+def _solid(n_objects: int) -> SolidWorld:
+    return SolidWorld(n_objects)
+
+
+@functools.lru_cache(maxsize=128)
+def _scene(model: SceneModel) -> SceneWorld:
+    return SceneWorld(model)

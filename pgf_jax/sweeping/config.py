@@ -12,6 +12,7 @@ from pgf_jax.fleet.config import CLOCK_OPTIONS, Cell, ClockSeconds, FleetConfig,
 from pgf_jax.fleet.policies import check_policy
 from pgf_jax.physics.config import Physics, PhysicsName, physics_of
 from pgf_jax.physics.engine import check_engine, default_lanes, default_processes
+from pgf_jax.physics.worlds.config import WorldName
 from pgf_jax.planning.config import (
     PLANNER_OPTIONS,
     SIGMA,
@@ -152,6 +153,9 @@ class SweepConfig:
       horizon: simulated time at which a fleet stops, s; None: when its tasks are done.
       workers: processes that share the work, each on cores of its own; results do not depend on how
         many. None: one a core for planar, else 1.
+      world: in which world solutions are checked before a robot executes them, and pushes are
+        executed: solid (a shelf in 3-D of our own), scene (that of the scene file), none (the
+        engine is believed).
       lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       out: folder of the results.
@@ -210,6 +214,7 @@ class SweepConfig:
     stuck_excess: NotNegative = 1000.0
     cost_weights: tuple[str, ...] = ()
     physics_constants: tuple[str, ...] = ()
+    world: WorldName = "none"
 
     GROUPS = (  # of options, for the help
         ("fleet", ("preset", "robots", "policies", "tasks", "seed", "seeds")),

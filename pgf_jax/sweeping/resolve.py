@@ -27,6 +27,7 @@ from pgf_jax.scene import Scene, load_scenes
 from pgf_jax.scene.file import read_scenes
 from pgf_jax.simulation.fleet_spec import FleetSpec, TaskScenes
 from pgf_jax.simulation.recorded_operator import LIVE, REPLAY, Recording
+from pgf_jax.simulation.task_worlds import WorldSpec
 from pgf_jax.sweeping import cell_file
 from pgf_jax.sweeping.config import INPUTS, SweepConfig
 from pgf_jax.tables.event_log import read_log
@@ -115,6 +116,7 @@ def resolve(config: SweepConfig, loaded: Loaded | None = None, *, number: int = 
     """
     recording = _recording(config)
     scene_files = _scene_files(config)
+    world = WorldSpec.of(config.world, scene_files)
     predictor, classifier, files = _predictors(config, {} if loaded is None else loaded)
 
     def spec(cell: Cell) -> CellSpec:
@@ -130,6 +132,7 @@ def resolve(config: SweepConfig, loaded: Loaded | None = None, *, number: int = 
             # Robots' numbers are logged under every policy, whether it bids them or not.
             predictor=TrueGain() if oracle else classifier if classify else predictor,
             recording=recording,
+            world=world,
         )
         networks = [n for n in files if (n in NETWORKS["classifier"]) == classify and not oracle]
         plugins = _plugins(fleet)
@@ -279,6 +282,7 @@ def _identity(
         "scenes": fleet.scenes.digest,
         "operator": fleet.operator,
         **({} if fleet.recording is None else {"log": fleet.recording.sha256}),
+        **({} if fleet.world is None else {"world": fleet.world.identity}),
         "predictors": predictors,
         "versions": {name: versions()[name] for name in DECISIVE},
         "device": device(),
