@@ -80,8 +80,8 @@ def simulate_input(
         found = planner.terminate(current)
         world: World = search.start
         if found and place is not None:
-            place = yield from execute_and_retreat(planner, place, current)
-            world = place.seen
+            after: Place = yield from execute_and_retreat(planner, place, current)
+            place, world = after, after.seen
         elif found:
             (world,) = yield [Retreat(current)]
         reach = planner.begin_reach(world, int(search.task.goal))

@@ -73,6 +73,8 @@ CAPSULES: tuple[tuple[str, float, float, float, float, float], ...] = (
     ("left_follower", 0.2275, -0.0427, 0.2275, -0.0565, 0.0020),
     ("left_spring", 0.1429, -0.0185, 0.1841, -0.0580, 0.0060),
 )
+# Capsule -> y at which the front of its tip begins as measured, m.
+MEASURED_FRONTS = {8: 0.0302, 14: -0.0487}
 RADII = np.array([c[5] for c in CAPSULES])  # [C] metres
 N_CAPSULES = len(CAPSULES)
 

@@ -1,8 +1,8 @@
-"""Candidates of an iteration: trajectories that the engine calls feasible, to be checked in a world.
+"""Candidates of an iteration: what the engine calls feasible, to be checked in a world.
 
-The engine proposes and a world judges. A candidate that misses in the world is refuted: its rollout,
-contacts and cost become those of the world, so that the search goes on as if it had never been
-feasible. What passes ends the search.
+The engine proposes and a world judges. A candidate that misses in the world is refuted: its
+rollout, contacts and cost become those of the world, so that the search goes on as if it had never
+been feasible. What passes ends the search.
 """
 
 from typing import NamedTuple
@@ -65,7 +65,7 @@ class Candidates(NamedTuple):
         return done._replace(rolled=refuted)
 
     def search(self, planner: BatchPlanner) -> Search:
-        """The search after the iteration, as far as it has been checked: feasible is what passed."""
+        """The search after the iteration, as far as it is checked: feasible is what passed."""
         places = np.arange(len(self.open))
         feasible = self.rolled.value.feasible & (places == self.passed)
         rolled = self.rolled._replace(value=self.rolled.value._replace(feasible=feasible))

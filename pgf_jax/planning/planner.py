@@ -15,8 +15,8 @@ import numpy as np
 from pgf_jax.errors import BadInput
 from pgf_jax.physics import hand
 from pgf_jax.physics.engine import MAX_CONTACTS, Array, Engine, Rollout, World
-from pgf_jax.planning import arrays, nominal
 from pgf_jax.physics.hand import RETREAT_M, RETREAT_S
+from pgf_jax.planning import arrays, nominal
 from pgf_jax.planning.config import Planner as Config
 from pgf_jax.planning.cost import Evaluation, Task, evaluate
 from pgf_jax.planning.types import Push

@@ -61,7 +61,7 @@ class RunLog:
         self._asked = False
 
     def amend(self, terms: Sequence[float], *, feasible: bool) -> None:
-        """Replace what was recorded of the last iteration, whose solution has been checked since."""
+        """Replace what is recorded of the last iteration, which has been checked since."""
         row = self._rows[-1]
         row |= dict(zip(("c_d", "c_f", "c_b"), map(float, terms), strict=True))
         row["feasible"] = bool(feasible)

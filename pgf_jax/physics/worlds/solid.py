@@ -1,7 +1,8 @@
-"""The world `solid`: a shelf in three dimensions of our own, and a hand that is driven as a robot's.
+"""The world `solid`: a shelf in three dimensions of our own, and a hand driven as a robot is.
 
-Base and fingers follow their commanded velocities, and contacts feel these velocities: none of the
-artefacts of the published simulation, where the fingers' poses are set and their velocities are not.
+Base and fingers follow their commanded velocities, and contacts feel these velocities. In the
+published simulation the fingers' poses are set and their velocities are not, so that they drag
+along what they touch; there is nothing of that here.
 """
 
 # MuJoCo's compiled modules come without type stubs.

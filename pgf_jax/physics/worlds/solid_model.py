@@ -136,9 +136,10 @@ def _link(name: str, solid: Solid) -> str:
 def _geoms(owner: str, origin: np.ndarray, solid: Solid) -> str:
     """The capsules of a link, each as a box with rounded ends, relative to the link's joint."""
     texts = []
-    for capsule, ends, radius in zip(
-        hand.CAPSULES, hand.capsule_segments(0.0), hand.RADII, strict=True
-    ):
+    segments = hand.capsule_segments(0.0)
+    for number, y in hand.MEASURED_FRONTS.items():
+        segments[number, 0, 1] = y  # the planar hand's reach further inwards, see `hand.py`
+    for capsule, ends, radius in zip(hand.CAPSULES, segments, hand.RADII, strict=True):
         if capsule[0] != owner:
             continue
         a, b = ends - origin

@@ -1,8 +1,8 @@
 """What a world in three dimensions is: it starts from a scene, and executes segments one by one.
 
-A world differs from an engine in three ways. It keeps its whole state from one segment to the next
-(warm start of the solver and sleep of the bodies included). It is exact rather than fast: MuJoCo's
-C engine in float64. And it judges: how far from the goal a hand ended, what tipped, what it touched.
+A world differs from an engine in three ways. It keeps its whole state from one segment to the next,
+with the solver's warm start and the bodies' sleep. It is exact rather than fast: MuJoCo's C engine
+in float64. And it judges: how far from the goal a hand ended, what tipped, what it touched.
 """
 
 # MuJoCo's compiled modules come without type stubs.
@@ -109,7 +109,7 @@ class World3D(abc.ABC):
 
     @abc.abstractmethod
     def start(self, scene: Scene) -> State:
-        """The state before a scene's task: objects stand, the hand is open in front of the shelf."""
+        """The state before a scene's task: objects stand, an open hand before the shelf."""
 
     @abc.abstractmethod
     def _robot(self) -> int:
