@@ -44,7 +44,7 @@ class CollectConfig:
       classes: classes of the sampled scenes, in turn: tight, medium, wide.
       seed: seed of the first scene and its noise; the next scenes count on from there.
       engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
-        in C), or a registered one.
+        in C), solid (the solid world; slow), or a registered one.
       physics: physics constants: default, or paper (its time step, and the softness of the authors'
         contacts).
       physics_constants: physics constants that are to be others than those, as in mass=1.2

@@ -77,7 +77,7 @@ class ConsoleConfig:
       scenes: scenes from which the tasks are drawn: a folder of scene files (*.xml), or a file of
         scenes (*.json). None: scenes are sampled.
       engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
-        in C), or a registered one.
+        in C), solid (the solid world; slow), or a registered one.
       physics: physics constants: default, or paper (its time step, and the softness of the authors'
         contacts).
       physics_constants: physics constants that are to be others than those, as in mass=1.2

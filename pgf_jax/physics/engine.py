@@ -91,6 +91,7 @@ ENGINES: Registry[Callable[..., Engine]] = Registry(
         "mjx": "pgf_jax.physics.mjx:MjxEngine",
         "native": "pgf_jax.physics.native:NativeEngine",
         "planar": "pgf_jax.physics.planar.engine:PlanarEngine",
+        "solid": "pgf_jax.physics.worlds.engine:SolidEngine",
     },
     # 2: each pair of objects once, sums in another order; objects at rest sleep between knots.
     revisions={"planar": 2},
@@ -130,7 +131,7 @@ def check_engine(name: str) -> None:
 # L is a constant of an engine, because `mjx` rounds differently at another L. C MuJoCo rolls out
 # one by one and gains nothing from a larger call, which would only pad more; `planar` computes no
 # padding, and fills its chunks better from a larger call.
-_LANES = {"mjx": 8, "native": 1, "planar": 64}
+_LANES = {"mjx": 8, "native": 1, "planar": 64, "solid": 1}
 _OTHER_LANES = 8
 
 

@@ -20,6 +20,7 @@ _SHOWS_ANOTHER_SEARCH = frozenset(
     {
         EventKind.TASK_START,
         EventKind.ITERATION,
+        EventKind.CHECK,
         EventKind.SERVICE_END,
         EventKind.PUSH_DROPPED,
         EventKind.RETREAT_END,
@@ -112,6 +113,14 @@ class FleetObserver:
                     cost = run.last_reach.cost
                     seen.costs.append(cost if math.isfinite(cost) else math.inf)
                     seen.gain = math.nan if event.gain is None else event.gain
+            case EventKind.CHECK:
+                seen.stuck = event.outcome == "missed" and run.stuck
+                assert run.last_reach is not None
+                cost = run.last_reach.cost
+                seen.costs[-1] = cost if math.isfinite(cost) else math.inf
+                seen.gain = math.nan if event.gain is None else event.gain
+                if event.outcome == "missed":
+                    seen.tell(event, "the check has missed: plans on")
             case EventKind.BID:
                 seen.bid = event.gain
                 seen.bids_at.append(len(seen.costs))
@@ -132,6 +141,8 @@ class FleetObserver:
                     seen.push = Push(event.object, event.x, event.y)
             case EventKind.EXECUTION_END:
                 seen.retreating_ns = event.time_ns
+                if event.outcome == "missed":
+                    seen.tell(event, "the grasp has missed: retracts")
             case EventKind.RETREAT_END | EventKind.PUSH_DROPPED:
                 seen.push = seen.retreating_ns = None
 

@@ -105,7 +105,7 @@ class SweepConfig:
       seeds: several seeds, in place of seed: a fleet of each for every policy and fleet size, so
         that the table and the figure can have intervals over fleets; None: seed alone.
       engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
-        in C), or a registered one.
+        in C), solid (the solid world; slow), or a registered one.
       physics: physics constants: default, or paper (its time step, and the softness of the authors'
         contacts).
       physics_constants: physics constants that are to be others than those, as in mass=1.2

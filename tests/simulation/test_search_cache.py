@@ -284,9 +284,10 @@ class Seen(TrueGain):
 
     turns: ClassVar[list[tuple]] = []
 
-    def simulate_gain(self, search, input_request, planner, decision_key):
+    def simulate_gain(self, search, input_request, planner, decision_key, place=None):
         self.turns.append(decision_key)
-        return (yield from super().simulate_gain(search, input_request, planner, decision_key))
+        given = search, input_request, planner, decision_key, place
+        return (yield from super().simulate_gain(*given))
 
 
 def test_true_gains_and_the_operator_ask_for_one_input():

@@ -87,4 +87,4 @@ class SolidWorld(World3D):
         slip, base = data.qpos[_SLIP], data.qpos[_BASE]
         c, s = np.cos(base[2]), np.sin(base[2])
         x, y = slip[:2]
-        return base + [c * x - s * y, s * x + c * y, slip[2]]
+        return np.add(base, [c * x - s * y, s * x + c * y, slip[2]])
