@@ -149,6 +149,7 @@ class FleetSpec:
             tasks=self.config.tasks,
             predictor=self.predictor,
             on_task_end=on_task_end,
+            misses=self.world is not None and self.world.error is not None,
         )
 
     def new_fleet(self, robots: PlannedRobots) -> Fleet:

@@ -8,6 +8,8 @@ from typing import Any
 from pgf_jax.batching.places import Place
 from pgf_jax.errors import BadInput
 from pgf_jax.physics.engine import World
+from pgf_jax.physics.worlds.config import WorldError
+from pgf_jax.physics.worlds.error import draw
 
 try:
     from pgf_jax.physics.worlds.scene import SceneModel, SceneWorld, read_scene_model
@@ -54,10 +56,14 @@ class WorldSpec:
     Attributes:
       name: solid or scene.
       models: scene: of each scene file, by the scene's name.
+      error: in which the world where robots act differs from the one where they check.
+      seed: of its draws.
     """
 
     name: str
     models: tuple[tuple[str, SceneModel], ...] = ()
+    error: WorldError | None = None
+    seed: int = 0
 
     @classmethod
     def of(cls, name: str, scenes: Sequence[Scene] | None) -> "WorldSpec | None":
@@ -87,23 +93,27 @@ class WorldSpec:
 
     def worlds(self, scene: Scene, robot: int = 0, task: int = 0) -> TaskWorlds:
         """The worlds of a task."""
-        if self.name == "solid":
-            return TaskWorlds(scene, _solid(len(scene.objects)))
-        return TaskWorlds(scene, _scene(self._model(scene.name)))
-
-    def _model(self, name: str) -> SceneModel:
-        return dict(self.models)[name]
+        if self.name == "scene":
+            return TaskWorlds(scene, _scene(dict(self.models)[scene.name]))
+        solid = _solid(len(scene.objects))
+        if self.error is None:
+            return TaskWorlds(scene, solid)
+        drawn = draw(self.error, scene.positions, self.seed, robot, task)
+        acting = SolidWorld(len(scene.objects), drawn=drawn)
+        return TaskWorlds(scene, acting, lambda seen: Place(solid, solid.state_of(seen)))
 
     @property
     def key(self) -> Hashable:
         """What the results in it depend on."""
-        return self.name, tuple((name, model.digest) for name, model in self.models)
+        models = tuple((name, model.digest) for name, model in self.models)
+        return self.name, models, self.error, self.seed
 
     @property
     def identity(self) -> dict[str, Any]:
         """The same, as JSON."""
         if self.name == "solid":
-            return {"name": self.name, **dataclasses.asdict(Solid())}
+            error = {} if self.error is None else {"error": dataclasses.asdict(self.error)}
+            return {"name": self.name, **dataclasses.asdict(Solid()), **error}
         return {"name": self.name, "models": {name: model.digest for name, model in self.models}}
 
 

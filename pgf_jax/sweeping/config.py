@@ -12,7 +12,7 @@ from pgf_jax.fleet.config import CLOCK_OPTIONS, Cell, ClockSeconds, FleetConfig,
 from pgf_jax.fleet.policies import check_policy
 from pgf_jax.physics.config import Physics, PhysicsName, physics_of
 from pgf_jax.physics.engine import check_engine, default_lanes, default_processes
-from pgf_jax.physics.worlds.config import WorldName
+from pgf_jax.physics.worlds.config import WorldName, world_error_of
 from pgf_jax.planning.config import (
     PLANNER_OPTIONS,
     SIGMA,
@@ -156,6 +156,9 @@ class SweepConfig:
       world: in which world solutions are checked before a robot executes them, and pushes are
         executed: solid (a shelf in 3-D of our own), scene (that of the scene file), none (the
         engine is believed).
+      world_error: how far the world in which robots act is from the one in which they check, drawn
+        once a task: default, or spreads as in friction=0.3 mass=0.3 position=0.005 (shares, and m);
+        a grasp that misses is planned again. The names are the fields of WorldError.
       lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       out: folder of the results.
@@ -215,11 +218,12 @@ class SweepConfig:
     cost_weights: tuple[str, ...] = ()
     physics_constants: tuple[str, ...] = ()
     world: WorldName = "none"
+    world_error: tuple[str, ...] = ()
 
     GROUPS = (  # of options, for the help
         ("fleet", ("preset", "robots", "policies", "tasks", "seed", "seeds")),
         ("scene", ("scene_class", "scenes")),
-        ("planning", PLANNER_OPTIONS),
+        ("planning", (*PLANNER_OPTIONS, "world_error")),
         ("operator", ("operator", "log", "operators", "predictor", *_SERVICE)),
         ("clock", ("window", "bid_threshold", *CLOCK_OPTIONS, "compute", "horizon")),
         ("computing", ("workers", "scheduler")),
@@ -252,6 +256,7 @@ class SweepConfig:
             )
         if self.log is not None and self.seeds is not None:
             raise BadInput("seeds: a recorded session has one of its own; leave them out")
+        world_error_of(self.world_error, self.world)
         self.planner()
         self.physics_values()
         for cell in self.cells():

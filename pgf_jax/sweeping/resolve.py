@@ -20,6 +20,7 @@ from pgf_jax.guidance.predictors.registry import NETWORKS, PredictorSpec, predic
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.jax_setup import has_options
 from pgf_jax.physics.engine import ENGINES
+from pgf_jax.physics.worlds.config import world_error_of
 from pgf_jax.planning.config import PLANNER_REVISION
 from pgf_jax.plugins.registry import Plugin, plugins_record
 from pgf_jax.provenance import DECISIVE, device, origin, versions
@@ -117,6 +118,7 @@ def resolve(config: SweepConfig, loaded: Loaded | None = None, *, number: int = 
     recording = _recording(config)
     scene_files = _scene_files(config)
     world = WorldSpec.of(config.world, scene_files)
+    error = world_error_of(config.world_error, config.world)
     predictor, classifier, files = _predictors(config, {} if loaded is None else loaded)
 
     def spec(cell: Cell) -> CellSpec:
@@ -132,7 +134,7 @@ def resolve(config: SweepConfig, loaded: Loaded | None = None, *, number: int = 
             # Robots' numbers are logged under every policy, whether it bids them or not.
             predictor=TrueGain() if oracle else classifier if classify else predictor,
             recording=recording,
-            world=world,
+            world=world and dataclasses.replace(world, error=error, seed=cell.seed),
         )
         networks = [n for n in files if (n in NETWORKS["classifier"]) == classify and not oracle]
         plugins = _plugins(fleet)

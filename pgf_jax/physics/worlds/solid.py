@@ -16,6 +16,7 @@ import numpy as np
 
 from pgf_jax.physics import hand
 from pgf_jax.physics.engine import World
+from pgf_jax.physics.worlds.error import Drawn
 from pgf_jax.physics.worlds.solid_model import Solid, compile_model
 from pgf_jax.physics.worlds.world import State, World3D
 from pgf_jax.scene.scene import HEIGHT, Scene
@@ -30,13 +31,19 @@ class SolidWorld(World3D):
     Args:
       n_objects: N.
       solid: its constants; None: the default ones.
+      drawn: in what it differs from them; None: in nothing.
     """
 
     name = "solid"
 
-    def __init__(self, n_objects: int, solid: Solid | None = None) -> None:
+    def __init__(
+        self, n_objects: int, solid: Solid | None = None, drawn: Drawn | None = None
+    ) -> None:
         self.solid = solid or Solid()
+        self._drawn = drawn
         super().__init__(copy.copy(compile_model(self.solid, n_objects)), n_objects)
+        if drawn is not None:
+            self._change(drawn)
         links = [self.model.joint(name) for name in hand.LINKS]
         self._link_qpos = np.array([joint.qposadr[0] for joint in links])
         self._link_qvel = np.array([joint.dofadr[0] for joint in links])
@@ -47,9 +54,20 @@ class SolidWorld(World3D):
 
     def start(self, scene: Scene) -> State:
         """See `World3D.start`."""
-        n = self.n_objects
-        still = World(scene.positions, np.zeros((n, 2)), np.zeros(3), 0.0)
+        positions = scene.positions if self._drawn is None else self._drawn.positions
+        still = World(positions, np.zeros((self.n_objects, 2)), np.zeros(3), 0.0)
         return self.state_of(still)
+
+    def _change(self, drawn: Drawn) -> None:
+        """Give objects and hand the masses and the friction of a draw."""
+        model, factors = self.model, drawn.friction[:, None]
+        model.body_mass[self._objects] *= drawn.mass
+        model.body_inertia[self._objects] *= drawn.mass[:, None]
+        of_object = self._codes[model.geom_bodyid]
+        for i in range(self.n_objects):
+            model.geom_friction[of_object == i] *= factors[i]
+        model.geom_friction[of_object == self.n_objects] *= drawn.hand_friction
+        mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def state_of(self, seen: World) -> State:
         """A state that looks like that from above (unbatched): all objects stand."""

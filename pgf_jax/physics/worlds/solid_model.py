@@ -79,7 +79,7 @@ def mjcf(solid: Solid, n_objects: int) -> str:
     <geom condim="3" solref="{solid.timeconst_s} 1" mass="0"/>
     <default class="base">
       <geom type="cylinder" size="{RADIUS} {HEIGHT / 2}" mass="{solid.mass_kg}" contype="1"
-            conaffinity="0"/>
+            conaffinity="0" priority="2" friction="{solid.table_friction}"/>
     </default>
     <default class="side">
       <geom type="sphere" size="{RADIUS}" contype="2" conaffinity="2"
@@ -94,8 +94,7 @@ def mjcf(solid: Solid, n_objects: int) -> str:
     </default>
   </default>
   <worldbody>
-    <geom name="table" type="plane" size="2 2 .1" contype="0" conaffinity="1" priority="1"
-          friction="{solid.table_friction}"/>
+    <geom name="table" type="plane" size="2 2 .1" contype="0" conaffinity="1"/>
     <geom class="wall" name="back" type="plane" size="1 1 .1" pos="{BACK_WALL_X} 0 0"
           zaxis="-1 0 0"/>
     <geom class="wall" name="left" type="box" size="{depth} {thick} 0.2"
