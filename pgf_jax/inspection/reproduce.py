@@ -17,7 +17,7 @@ from pgf_jax.batching.scheduler import BatchScheduler
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.config import Cell
 from pgf_jax.fleet.events import Event, EventKind
-from pgf_jax.fleet.robots import IterationResult, Work, WorkKind
+from pgf_jax.fleet.robots import CheckResult, IterationResult, Work, WorkKind
 from pgf_jax.guidance.operators.base import NoOperator
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.inspection.config import ReproduceConfig
@@ -33,7 +33,7 @@ from pgf_jax.tables import results
 
 _INPUTS = (
     *("scenes", "predictors", "log", "plugins", "revisions"),
-    *("fleet", "planner", "physics", "engine", "lanes"),
+    *("fleet", "planner", "physics", "engine", "lanes", "world"),
 )
 
 
@@ -106,9 +106,12 @@ class _RepeatedTask:
             robots=robot + 1,
             tasks=task + 1,
             predictor=None if isinstance(spec.predictor, TrueGain) else spec.predictor,
+            misses=spec.misses,
         )
         self._robots.begin(robot, task)
         self._robot, self._task, self._iterations = robot, task, 0
+        self._checks = 0  # of the iteration that has ended last
+        self._missed = False  # the reach that was executed last
 
     @property
     def search(self) -> Search:
@@ -128,9 +131,18 @@ class _RepeatedTask:
         pushing = bool(self.search.task.pushing)
         found = self._service.planner.terminate(self.search)
         if event.kind is EventKind.ITERATION:
-            if found:
+            if found or self._to_check:
                 raise self._impossible("planning goes on with what is feasible")
             self._iterate(event)
+        elif event.kind is EventKind.CHECK:
+            if not self._to_check:
+                raise self._impossible("a check is made where nothing is to be checked")
+            self._check_candidate(event)
+        elif event.kind is EventKind.EXECUTION_END and event.outcome == "missed":
+            if pushing or not found or not self._robots.misses:
+                raise self._impossible("a reach misses where none is executed")
+            self._missed = not self._perform(WorkKind.REACH).grasped
+            self._compare("outcome", event.outcome, "missed" if self._missed else "reach")
         elif event.kind is EventKind.SERVICE_END and event.outcome not in ("expired", "censored"):
             if pushing:
                 raise self._impossible("a service ends while a push is planned")
@@ -140,23 +152,43 @@ class _RepeatedTask:
                 raise self._impossible("a push is dropped where none is planned")
             self._robots.drop_push(self._robot)
         elif event.kind is EventKind.RETREAT_END:
-            if not (pushing and found):
+            if not (self._missed or (pushing and found)):
                 raise self._impossible("a retreat ends after no push")
+            self._missed = False
             self._perform(WorkKind.RETREAT)
+
+    @property
+    def _to_check(self) -> bool:
+        return self._robots.robots[self._robot].node.candidates is not None
 
     def _iterate(self, event: Event) -> None:
         number = self._iterations
         if event.iteration != number:
             raise self._impossible(f"iteration {event.iteration} comes where {number} should")
         task = self.search.task
-        self._check("object", event.object, int(task.pushed) if task.pushing else None)
+        self._compare("object", event.object, int(task.pushed) if task.pushing else None)
         result = self._perform(WorkKind.ITERATION)
         assert isinstance(result, IterationResult)
         outcome = "feasible" if result.feasible else "stuck" if result.stuck else None
-        self._check("outcome", event.outcome, outcome)
-        if self._gains:
-            self._check("gain", results.nan_to_null(event.gain), results.nan_to_null(result.gain))
+        self._compare("outcome", event.outcome, outcome)
+        self._compare_gain(event, result)
         self._iterations += 1
+        self._checks = 0
+
+    def _check_candidate(self, event: Event) -> None:
+        number = self._iterations - 1
+        if event.iteration != number:
+            raise self._impossible(f"a check is of iteration {event.iteration}, not of {number}")
+        result = self._perform(WorkKind.CHECK, number, self._checks)
+        assert isinstance(result, CheckResult)
+        self._compare("outcome", event.outcome, "passed" if result.passed else "missed")
+        self._compare_gain(event, result.result)
+        self._checks += 1
+
+    def _compare_gain(self, event: Event, result: IterationResult) -> None:
+        if self._gains:
+            logged, here = (results.nan_to_null(gain) for gain in (event.gain, result.gain))
+            self._compare("gain", logged, here)
 
     def _give(self, event: Event) -> None:
         if event.outcome == "push":
@@ -168,11 +200,14 @@ class _RepeatedTask:
         elif self.search.iteration >= 0:  # otherwise there is nothing yet to go on with
             self._robots.go_on(self._robot)
 
-    def _perform(self, kind: WorkKind) -> Any:
-        work = Work(self._robot, self._task, kind, self._iterations)
+    def _perform(
+        self, kind: WorkKind, iteration: int | None = None, check: int | None = None
+    ) -> Any:
+        iteration = self._iterations if iteration is None else iteration
+        work = Work(self._robot, self._task, kind, iteration, check=check)
         return BatchScheduler(self._service).run(self._robots.coroutine(work))
 
-    def _check(self, what: str, logged: object, here: object) -> None:
+    def _compare(self, what: str, logged: object, here: object) -> None:
         if logged != here:
             raise BadInput(
                 f"robot {self._robot}, task {self._task}, iteration {self._iterations}: "

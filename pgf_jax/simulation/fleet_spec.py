@@ -127,6 +127,11 @@ class FleetSpec:
         world = None if self.world is None else self.world.key
         return self.compile_key, self.config.seed, scenes, self.operator, recording, world
 
+    @property
+    def misses(self) -> bool:
+        """Whether a reach may miss when it is executed."""
+        return self.world is not None and self.world.error is not None
+
     def search_cache(
         self, planner_service: PlannerService, operator: AnyOperator | None = None
     ) -> SearchCache:
@@ -149,7 +154,7 @@ class FleetSpec:
             tasks=self.config.tasks,
             predictor=self.predictor,
             on_task_end=on_task_end,
-            misses=self.world is not None and self.world.error is not None,
+            misses=self.misses,
         )
 
     def new_fleet(self, robots: PlannedRobots) -> Fleet:
