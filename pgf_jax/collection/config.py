@@ -45,8 +45,8 @@ class CollectConfig:
       seed: seed of the first scene and its noise; the next scenes count on from there.
       engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
         in C), solid (the solid world; slow), or a registered one.
-      physics: physics constants: default, or paper (its time step, and the softness of the authors'
-        contacts).
+      physics: physics constants of the engines on the plane: default (fitted to the solid world),
+        authors (to the published simulation), or paper (its time step and softness of contacts).
       physics_constants: physics constants that are to be others than those, as in mass=1.2
         object_friction=0.4; the names are the fields of Physics.
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
@@ -113,7 +113,7 @@ class CollectConfig:
     stuck_excess: NotNegative = 1000.0
     cost_weights: tuple[str, ...] = ()
     physics_constants: tuple[str, ...] = ()
-    world: WorldName = "none"
+    world: WorldName = "solid"
 
     GROUPS = (  # of options, for the help
         ("scene", ("scenes", "classes", "seed", "log")),

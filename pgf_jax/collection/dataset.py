@@ -18,6 +18,7 @@ from pgf_jax.collection.config import CollectConfig
 from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, json_bytes, parse_json, read_file, write_atomically
 from pgf_jax.guidance.operators.registry import world_plugins
+from pgf_jax.physics.worlds.config import stored_settings
 from pgf_jax.plugins.registry import plugins_record
 from pgf_jax.provenance import environment
 from pgf_jax.tables.forks import read_forks, write_forks
@@ -109,7 +110,12 @@ class Dataset:
 
 def _settings(config: CollectConfig) -> dict[str, Any]:
     """The settings that decide on what runs hold."""
-    later = [name for name, default in _LATER.items() if getattr(config, name) != default]
+    # The world always: data of before there were worlds do not say it.
+    later = [
+        name
+        for name, default in _LATER.items()
+        if getattr(config, name) != default or name == "world"
+    ]
     settings = {name: getattr(config, name) for name in (*_KEPT, *later)}
     plugins = _plugins(config)
     return {**settings, "plugins": plugins} if plugins else settings
@@ -145,7 +151,7 @@ def _write_settings(config: CollectConfig) -> None:
     wanted = _as_json(dataclasses.asdict(config))
     defaults = _as_json({name: _LATER[name] for name in _LATER})
     if found:
-        before = _read_settings(settings)
+        before = stored_settings(_read_settings(settings))
         for name in (*_KEPT, *_LATER):
             if before.get(name, defaults.get(name)) != wanted[name]:
                 raise BadInput(

@@ -13,6 +13,7 @@ import polars as pl
 from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, read_file, read_json, sha256
 from pgf_jax.fleet.config import Cell
+from pgf_jax.physics.worlds.config import stored_settings
 from pgf_jax.sweeping import cell_file, columns
 from pgf_jax.sweeping.cell_store import MANIFEST, RESULTS, RUN
 from pgf_jax.sweeping.config import INPUTS, SCENES, SweepConfig
@@ -165,7 +166,7 @@ def _of_one_sweep(
     def common(content: cell_file.Content) -> str:
         config = content.about.get("config")
         own = ("robots", "policies", "tasks", "seed")
-        shared = _DEFAULTS | config if isinstance(config, dict) else {}
+        shared = _DEFAULTS | stored_settings(config) if isinstance(config, dict) else {}
         return str({name: value for name, value in shared.items() if name not in own})
 
     counts = Counter(map(common, sound.values()))
@@ -216,6 +217,7 @@ def _in_manifest(manifest: Mapping[str, Any], cell: Mapping[str, Any]) -> dict[s
         }
     config = manifest.get("config")
     if isinstance(config, dict):
+        config = stored_settings(config)
         # Those two are None where the sweep was to choose; and a cell has not all fleets.
         chosen = {n for n in ("scene_class", "lanes") if config.get(n) is None}
         left_out = {*INPUTS, "robots", "policies", "tasks", "seed", "seeds"} | chosen
@@ -228,6 +230,7 @@ def _in_cell(about: Mapping[str, Any], name: str) -> Any:
     place, within, default = about["identity"], name, None
     if name.startswith("config."):
         place, within = about.get("config"), name.removeprefix("config.")
+        place = stored_settings(place) if isinstance(place, dict) else place
         default = _DEFAULTS.get(within)
     elif name in ("policy", "robots", "tasks", "seed"):
         place = place.get("fleet")

@@ -9,7 +9,7 @@ from pgf_jax.settings import Bounds, Count, check_fields, named_values
 
 Positive = Annotated[float, Bounds(above=0)]
 NotNegative = Annotated[float, Bounds(0)]
-PhysicsName = Literal["default", "paper"]
+PhysicsName = Literal["default", "authors", "paper"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +46,11 @@ class Physics:
 
 
 PHYSICS = {
-    "default": Physics(),
+    # Fitted to the solid world (`experiments/fit_planar.py`): disks cannot roll along a hand as
+    # cylinders do, so it has less friction; and its fingers do not drag what they touch.
+    "default": Physics(hand_friction=0.3, finger_creep=0.0),
+    # Of the published simulation, with its fingers' surface creep.
+    "authors": Physics(),
     # The paper's substep of 0.0015 s and the softness of the authors' geoms.
     "paper": Physics(substeps=250, solref_timeconst=0.02, impedance=0.1),
 }
@@ -59,7 +63,7 @@ def physics_of(name: str, constants: Sequence[str] = ()) -> Physics:
     """The constants of a name, some of them replaced.
 
     Args:
-      name: default or paper.
+      name: default, authors or paper.
       constants: NAME=VALUE of fields of `Physics`.
 
     Raises:

@@ -15,6 +15,7 @@ import numpy as np
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import MIB, parse_json, read_file, write_atomically
 from pgf_jax.guidance.operators.registry import world_plugins
+from pgf_jax.physics.worlds.config import stored_settings
 from pgf_jax.planning.types import Status
 from pgf_jax.plans.config import PlanConfig
 from pgf_jax.plugins.registry import plugins_record
@@ -59,8 +60,8 @@ class Plan:
       pushes: executed.
       requests, grants: asks made, and services begun.
       non_finite: iterations in which some rollout's cost was not finite.
-      settings: other fields of `PlanConfig` that were not at their defaults, by name; and
-        `plugins`, where engine or operator are of one.
+      settings: `world`, and other fields of `PlanConfig` that were not at their defaults, by name;
+        and `plugins`, where engine or operator are of one.
     """
 
     scene: Scene
@@ -198,6 +199,8 @@ def _other_settings(config: PlanConfig) -> dict[str, Any]:
     }
     plugins = plugins_record(world_plugins(config.engine, config.operator))
     values |= {"plugins": plugins} if plugins else {}
+    # Always there: plans of before there were worlds have none.
+    values["world"] = config.world
     return {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
 
 
@@ -297,6 +300,8 @@ def _from_json(content: Any) -> Plan:
     starts = _get(content, "history_starts", list)
     if not all(type(start) is int and 0 <= start < len(history) for start in starts):
         raise BadInput(f"history_starts: expected rows of history, got {short_repr(starts)}")
+    settings = _get({"settings": {}, **content}, "settings", dict)  # earlier plans have none
+    settings = stored_settings({**settings, "physics": plain["physics"]})
     return Plan(
         scene=scene,
         status=Status(status),
@@ -304,8 +309,8 @@ def _from_json(content: Any) -> Plan:
         cost=dict(zip(cost, values.tolist(), strict=True)),
         history=_numbers(history, (len(history), 3), "history", null=True),
         history_starts=tuple(starts),
-        settings=_get({"settings": {}, **content}, "settings", dict),  # earlier plans have none
-        **plain,
+        settings={name: value for name, value in settings.items() if name != "physics"},
+        **{**plain, "physics": settings["physics"]},
     )
 
 

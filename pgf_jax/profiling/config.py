@@ -20,8 +20,8 @@ class ProfileConfig:
         engine, but at least 8.
       cores: cores that are used; None: all. With 1, what engines do on all cores is not measured.
       repeats: timed calls of each engine and L; the median counts.
-      physics: physics constants: default, or paper (its time step, and the softness of the authors'
-        contacts).
+      physics: physics constants of the engines on the plane: default (fitted to the solid world),
+        authors (to the published simulation), or paper (its time step and softness of contacts).
       seed: seed of scenes and noise.
       json: print one JSON object instead of tables.
     """

@@ -13,6 +13,7 @@ import polars as pl
 
 from pgf_jax.fleet.config import Cell
 from pgf_jax.guidance.predictors.registry import NETWORKS
+from pgf_jax.physics.worlds.config import stored_settings
 from pgf_jax.sweeping.cell_file import Content
 from pgf_jax.sweeping.config import HOW, INPUTS, SweepConfig
 from pgf_jax.tables import results
@@ -70,7 +71,7 @@ def labelled(frame: pl.DataFrame, about: Mapping[str, Any]) -> pl.DataFrame:
       frame: its tasks or events.
       about: where they come from, see `CellSpec.about`.
     """
-    identity, config = about["identity"], about["config"]
+    identity, config = about["identity"], stored_settings(about["config"])
     fleet = identity["fleet"]
     cell = Cell(fleet["policy"], fleet["robots"], fleet["tasks"], fleet["seed"])
     # A setting that a stored cell lacks has the value that was built in then.

@@ -106,8 +106,8 @@ class SweepConfig:
         that the table and the figure can have intervals over fleets; None: seed alone.
       engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
         in C), solid (the solid world; slow), or a registered one.
-      physics: physics constants: default, or paper (its time step, and the softness of the authors'
-        contacts).
+      physics: physics constants of the engines on the plane: default (fitted to the solid world),
+        authors (to the published simulation), or paper (its time step and softness of contacts).
       physics_constants: physics constants that are to be others than those, as in mass=1.2
         object_friction=0.4; the names are the fields of Physics.
       cost: cost terms: source (as the authors' published source has them), or paper (as its text).
@@ -217,7 +217,7 @@ class SweepConfig:
     stuck_excess: NotNegative = 1000.0
     cost_weights: tuple[str, ...] = ()
     physics_constants: tuple[str, ...] = ()
-    world: WorldName = "none"
+    world: WorldName = "solid"
     world_error: tuple[str, ...] = ()
 
     GROUPS = (  # of options, for the help

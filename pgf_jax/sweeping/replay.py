@@ -8,6 +8,7 @@ from typing import Any
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.events import Event, EventKind
+from pgf_jax.physics.worlds.config import stored_settings
 from pgf_jax.simulation.planned_robots import Robot
 from pgf_jax.simulation.recorded_operator import REPLAY, Recording
 from pgf_jax.simulation.runner import FleetRunner
@@ -85,6 +86,7 @@ def agreed_settings(
     for name in ours:
         if name not in recorded and name not in ADDED:
             raise BadInput(f"{path}: its settings lack {name}")
+    recorded = stored_settings(recorded)
     values = {name: recorded.get(name, defaults[name]) for name in ours}
     for name, value in ours.items():
         if value != defaults[name] and value != values[name]:

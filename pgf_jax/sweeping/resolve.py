@@ -20,7 +20,7 @@ from pgf_jax.guidance.predictors.registry import NETWORKS, PredictorSpec, predic
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.jax_setup import has_options
 from pgf_jax.physics.engine import ENGINES
-from pgf_jax.physics.worlds.config import world_error_of
+from pgf_jax.physics.worlds.config import stored_settings, world_error_of
 from pgf_jax.planning.config import PLANNER_REVISION
 from pgf_jax.plugins.registry import Plugin, plugins_record
 from pgf_jax.provenance import DECISIVE, device, origin, versions
@@ -333,7 +333,7 @@ def config_of(about: Mapping[str, Any], inputs: Mapping[str, Any], out: Path) ->
     unknown = sorted(settings.keys() - known)
     if unknown:
         raise BadInput(f"its configuration has {unknown[0]}, which a sweep has not")
-    given: dict[str, Any] = {**settings, "out": out}
+    given: dict[str, Any] = {**stored_settings(settings), "out": out}
     for name in INPUTS:
         if inputs.get(name) is not None:
             given[name] = inputs[name] if name == "predictor" else Path(inputs[name])

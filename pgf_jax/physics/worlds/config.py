@@ -1,8 +1,8 @@
 """Names of the worlds, and how wrong a robot is about its own; imports no MuJoCo."""
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Annotated, Literal
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
 
 from pgf_jax.errors import BadInput
 from pgf_jax.settings import Bounds, check_fields, named_values
@@ -26,6 +26,18 @@ class WorldError:
     friction: Share = 0.3
     mass: Share = 0.3
     position: Annotated[float, Bounds(0, 0.02)] = 0.005
+
+
+def stored_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings as they were stored, in today's words.
+
+    Where they lack a world they are of a time when there was none, and `physics` default was what
+    is called authors today.
+    """
+    if "world" in settings:
+        return dict(settings)
+    old = settings.get("physics", "default") == "default"
+    return {**settings, "world": "none"} | ({"physics": "authors"} if old else {})
 
 
 def world_error_of(texts: Sequence[str], world: str) -> WorldError | None:
