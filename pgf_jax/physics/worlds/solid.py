@@ -94,12 +94,25 @@ class SolidWorld(World3D):
         simulated_s = steps * self.solid.step_s
         # The armature keeps these velocities through the knot. The angles are set only so that
         # rounding does not add up.
+        self._take_up(data)
         before, after = (self._angles(value) for value in gripper)
         data.qpos[self._link_qpos] = before
         data.qvel[_BASE] = velocity * (seconds / simulated_s)
         data.qvel[self._link_qvel] = (after - before) / simulated_s
         mujoco.mj_step(self.model, data, steps)
         mujoco.mj_kinematics(self.model, data)
+
+    def _take_up(self, data: Any) -> None:
+        """Put the base where the hand is, which may have slipped: commands are about the hand.
+
+        Else a hand that has stalled would from then on turn about a point that is not its own.
+        """
+        there, (yaw, turning) = self._hand(data), (data.qpos[_BASE][2], data.qvel[_BASE][2])
+        # How fast the hand slips stays as it is, along the base's new axes.
+        slipping = data.qvel[_SLIP][:2] + turning * np.array([-1, 1]) * data.qpos[_SLIP][1::-1]
+        c, s = np.cos(there[2] - yaw), np.sin(there[2] - yaw)
+        data.qvel[_SLIP][:2] = np.array([[c, s], [-s, c]]) @ slipping
+        data.qpos[_BASE], data.qpos[_SLIP] = there, 0.0
 
     def _hand(self, data: Any) -> np.ndarray:
         slip, base = data.qpos[_SLIP], data.qpos[_BASE]
