@@ -10,11 +10,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.physics.engine import World
 from pgf_jax.physics.worlds.config import WorldError
 from pgf_jax.physics.worlds.error import draw
-
-try:
-    from pgf_jax.physics.worlds.scene import SceneModel, SceneWorld, read_scene_model
-except ImportError:
-    SceneModel = SceneWorld = read_scene_model = None
+from pgf_jax.physics.worlds.scene import SceneModel, SceneWorld, read_scene_model
 from pgf_jax.physics.worlds.solid import SolidWorld
 from pgf_jax.physics.worlds.solid_model import Solid
 from pgf_jax.physics.worlds.world import State, World3D
