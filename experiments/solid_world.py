@@ -138,7 +138,7 @@ def convergence(kinds: dict[str, list[Case]], halvings: int) -> Table:
         for step, executed in zip(steps, found, strict=True):
             grasped = np.array([one.grasped for one in executed])
             apart = 1e3 * np.linalg.norm(ends(executed) - finest, axis=-1)[moved]
-            counts = (f"{grasped.sum()} of {len(cases)}", str((grasped != right).sum()))
+            counts = (f"{grasped.sum()}/{len(cases)}", str((grasped != right).sum()))
             table.add_row(name, f"{1e3 * step:.3f}", *counts, str(moved.sum()), *spread(apart))
     return table
 
