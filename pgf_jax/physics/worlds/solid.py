@@ -89,12 +89,12 @@ class SolidWorld(World3D):
     def _drive(
         self, data: Any, velocity: np.ndarray, gripper: tuple[float, float], seconds: float
     ) -> None:
+        self._take_up(data)
         # 1 s is no whole number of steps: velocities are such that the way is the commanded one.
         steps = max(1, round(seconds / self.solid.step_s))
         simulated_s = steps * self.solid.step_s
         # The armature keeps these velocities through the knot. The angles are set only so that
         # rounding does not add up.
-        self._take_up(data)
         before, after = (self._angles(value) for value in gripper)
         data.qpos[self._link_qpos] = before
         data.qvel[_BASE] = velocity * (seconds / simulated_s)
