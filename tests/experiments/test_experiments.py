@@ -6,6 +6,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -92,3 +93,23 @@ def test_intervals_are_over_seeds():
     assert rate.high == 1.0 and 0.8 < rate.low < rate.mean == pytest.approx(2.9 / 3)
     with pytest.raises(AssertionError, match="one fleet a seed"):
         rows.over_seeds(pl.concat([ours, ours]), "time")
+
+
+def test_measures_of_the_solid_world():
+    script = importlib.import_module("solid_world")
+    rng = np.random.default_rng(0)
+    forward = np.array([0.13, 0.0, 0.0]) + rng.normal(0, [0.01, 0.02, 0.1], (3, 8, 3))
+    cases = [
+        script.Case(scene, controls, np.zeros(8), 3.0)
+        for scene, controls in zip(script.scenes_of(5, 3), forward, strict=True)
+    ]
+    table = script.convergence({"some": cases, "none": cases[:0]}, halvings=1)
+    columns = {str(column.header): list(column.cells) for column in table.columns}
+    assert columns["step, ms"] == ["3.750", "1.875"]
+    assert int(columns["moved objects"][0]) > 3 and float(columns["mean"][0]) > 0
+    assert [columns[name][1] for name in ("verdicts changed", "mean")] == ["0", "0.00"]
+    overlap, tilt = script.watch(cases)
+    assert 0 < overlap < 3e-3 and 0 < tilt < 1
+    ways, tilt = script.slides(script.Solid(), 0.4)
+    formula = 0.4**2 / (2 * 0.5 * 9.81) - 0.4 * script.Solid().step_s / 2
+    assert ways == pytest.approx([formula] * 8, rel=0.03) and tilt < 0.02

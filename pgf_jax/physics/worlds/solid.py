@@ -89,6 +89,7 @@ class SolidWorld(World3D):
     def _drive(
         self, data: Any, velocity: np.ndarray, gripper: tuple[float, float], seconds: float
     ) -> None:
+        self._take_up(data)
         # 1 s is no whole number of steps: velocities are such that the way is the commanded one.
         steps = max(1, round(seconds / self.solid.step_s))
         simulated_s = steps * self.solid.step_s
@@ -100,6 +101,18 @@ class SolidWorld(World3D):
         data.qvel[self._link_qvel] = (after - before) / simulated_s
         mujoco.mj_step(self.model, data, steps)
         mujoco.mj_kinematics(self.model, data)
+
+    def _take_up(self, data: Any) -> None:
+        """Put the base where the hand is, which may have slipped: commands are about the hand.
+
+        Else a hand that has stalled would from then on turn about a point that is not its own.
+        """
+        there, (yaw, turning) = self._hand(data), (data.qpos[_BASE][2], data.qvel[_BASE][2])
+        # How fast the hand slips stays as it is, along the base's new axes.
+        slipping = data.qvel[_SLIP][:2] + turning * np.array([-1, 1]) * data.qpos[_SLIP][1::-1]
+        c, s = np.cos(there[2] - yaw), np.sin(there[2] - yaw)
+        data.qvel[_SLIP][:2] = np.array([[c, s], [-s, c]]) @ slipping
+        data.qpos[_BASE], data.qpos[_SLIP] = there, 0.0
 
     def _hand(self, data: Any) -> np.ndarray:
         slip, base = data.qpos[_SLIP], data.qpos[_BASE]

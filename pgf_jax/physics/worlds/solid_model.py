@@ -1,9 +1,10 @@
 """The MJCF of the solid world: table and walls, upright cylinders, and the hand in its links.
 
-The plane of the table is z = 0. An object is a cylinder, which stands on the table, with a sphere
-of the cylinder's radius at two heights, which meet hand, walls and other objects: at these heights
-they are the cylinder's cross-section as long as it stands, and contacts of spheres are exact and
-cheap, where those of two cylinders that touch along a line are neither.
+The plane of the table is z = 0. An object is a cylinder, which meets the others as spheres, because
+contacts of spheres are exact and cheap, and those of two cylinders that touch along a line are
+neither. It stands on small feet around its edge. Two spheres of its radius meet hand, walls and
+other objects: at their heights they are its cross-section as long as it stands. If it topples, it
+lies on the feet and the upper sphere.
 
 The hand is the capsule table of `hand.py`, each capsule extruded to the gripper's height: a box
 with rounded ends. Links turn about their joints. The base follows its commanded velocity whatever
@@ -26,6 +27,13 @@ from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, HEIGHT, RADIUS, SIDE_WALL_
 ARMATURE = 1e6  # of driven joints, kg or kg m^2: 100 N change a velocity by 4e-5 m/s within a knot
 # The solver measures its progress against the mean inertia, of which the armature is most.
 TOLERANCE = 1e-8 / ARMATURE
+
+# MuJoCo has a cylinder stand on three points of its edge, which jump about as it rocks: the nearest
+# side of their triangle is 15 mm from the middle, where sliding at a friction of 0.5 shifts the
+# load by 25 mm. So it slides up to 30 % too short, by the direction, or falls. The nearest side of
+# eight feet is 26.8 mm from the middle. Softer feet rock, too: at an impedance of 0.95 ways are 5 %
+# short.
+FEET, FOOT_M, FOOT_IMPEDANCE = 8, 0.001, 0.99
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,10 +70,13 @@ def mjcf(solid: Solid, n_objects: int) -> str:
     # Half sizes of the side walls, which begin at the shelf's front: a hand may pass before it.
     depth, thick = (BACK_WALL_X - FRONT_X) / 2, 0.05
     drive = 'solreffriction="0.0075 1" solimpfriction="0.999 0.999"'
+    shape = (
+        f'<freejoint/><geom class="cylinder"/>{_feet()}'
+        f'<geom class="side" contype="3" pos="0 0 {solid.reach_m}"/>'
+        f'<geom class="side" pos="0 0 {-solid.reach_m}"/>'
+    )
     objects = "\n    ".join(
-        f'<body name="object_{i + 1}" pos="0 0 {HEIGHT / 2}"><freejoint/>'
-        f'<geom class="base"/><geom class="side" pos="0 0 {solid.reach_m}"/>'
-        f'<geom class="side" pos="0 0 {-solid.reach_m}"/></body>'
+        f'<body name="object_{i + 1}" pos="0 0 {HEIGHT / 2}">{shape}</body>'
         for i in range(n_objects)
     )
     links = "".join(_link(name, solid) for name, one in hand.LINKS.items() if one.parent is None)
@@ -77,9 +88,13 @@ def mjcf(solid: Solid, n_objects: int) -> str:
   </option>
   <default>
     <geom condim="3" solref="{solid.timeconst_s} 1" mass="0"/>
-    <default class="base">
-      <geom type="cylinder" size="{RADIUS} {HEIGHT / 2}" mass="{solid.mass_kg}" contype="1"
-            conaffinity="0" priority="2" friction="{solid.table_friction}"/>
+    <default class="cylinder">
+      <geom type="cylinder" size="{RADIUS} {HEIGHT / 2}" mass="{solid.mass_kg}" contype="0"
+            conaffinity="0"/>
+    </default>
+    <default class="foot">
+      <geom type="sphere" size="{FOOT_M}" contype="1" conaffinity="0" priority="2"
+            friction="{solid.table_friction}" solimp="{FOOT_IMPEDANCE} {FOOT_IMPEDANCE}"/>
     </default>
     <default class="side">
       <geom type="sphere" size="{RADIUS}" contype="2" conaffinity="2"
@@ -118,6 +133,16 @@ def mjcf(solid: Solid, n_objects: int) -> str:
     {objects}
   </worldbody>
 </mujoco>"""
+
+
+def _feet() -> str:
+    """The feet of an object, inside of its cylinder."""
+    turns = 2 * np.pi * np.arange(FEET) / FEET
+    out, down = RADIUS - FOOT_M, FOOT_M - HEIGHT / 2
+    return "".join(
+        f'<geom class="foot" pos="{out * np.cos(turn)} {out * np.sin(turn)} {down}"/>'
+        for turn in turns
+    )
 
 
 def _link(name: str, solid: Solid) -> str:
