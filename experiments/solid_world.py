@@ -3,7 +3,7 @@
     python experiments/solid_world.py [--scenes 125] [--plans 150]
 
 What is executed: the reach nominals of sampled scenes with the planner's noise (eight a scene), and
-the reaches of plans that the engine `planar` calls solved. The script prints
+the reaches of plans that are feasible by the engine `planar`. The script prints
 
 - convergence: the same executions with the step halved once and twice. How many reaches grasp, how
   many verdicts differ from those of the smallest step, and how far apart the objects end that have
@@ -93,9 +93,14 @@ def scenes_of(first: int, count: int) -> list[Scene]:
 
 
 def planned(config: Config) -> list[Case]:
-    """The reaches of the plans that are solved."""
+    """The reaches of the plans that the engine calls solved."""
     scenes = scenes_of(config.seed + config.scenes, config.plans)
-    settings = PlanConfig(lanes=config.lanes)
+    settings = PlanConfig(
+        lanes=config.lanes,
+        physics=config.physics,
+        physics_constants=config.physics_constants,
+        world="none",  # the engine is believed
+    )
     plans = plan_scenes([(scene, config.seed + i) for i, scene in enumerate(scenes)], settings)
     reaches = [(plan.scene, plan.segments[-1]) for plan in plans if plan.solved]
     return [
