@@ -124,7 +124,7 @@ ARGUMENTS = {
     ),
     "physics": (
         ["plan", "--scene-class", "tight", "--physics", "x"],
-        "--physics: expected one of default, paper, got 'x'",
+        "--physics: expected one of authors, default, paper, got 'x'",
     ),
     "update": (
         ["plan", "--scene-class", "tight", "--update", "x"],

@@ -119,14 +119,10 @@ class BatchPlanner:
     def step_valued(
         self, searches: Sequence[Search], keys: Sequence[np.ndarray]
     ) -> list[tuple[Search, Rolled]]:
-        """Do one iteration of each search, and return what its winner was chosen from.
-
-        Args:
-          searches, keys: see `step`.
+        """Do one iteration of each search, and return all its rollouts; arguments as of `step`.
 
         Returns:
-          Of each search: what it is after the iteration, and the rollouts of which the cheapest
-          may have replaced its best, with the values that decided.
+          Of each: the search after it, and the rollouts that its winner is of, with their values.
         """
         pairs, rounds = self._iterate(searches, keys, valued=True)
         count = len(pairs)
@@ -155,9 +151,8 @@ class BatchPlanner:
           key: raw PRNG key ([2] uint32); consumed.
 
         Returns:
-          The search after it, bit-equal to the result of `step`; and the iteration's rollouts.
-          Their values are computed by a program of their own, so they may differ in the last bit
-          from the values that the iteration used.
+          The search after it, bit-equal to the result of `step`; and the iteration's rollouts, with
+          values of a program of their own, which may differ in the last bit.
         """
         (after,), rounds = self._iterate([search], [key])
         batch = arrays.stack(arrays.pad([search], self.engine.lanes))

@@ -37,18 +37,10 @@ HOW = ("preset", "workers", "scheduler", "out", "resume", "json")
 INPUTS = ("scenes", "predictor", "log")
 SCENES = "scenes.json"  # in the folder of the results: the scenes that were given as objects
 # Policies that need no network that predicts a gain.
-GAINLESS = frozenset(
-    {
-        "autonomous",
-        "or-hitl",
-        "or-hitl-window",
-        "queue",
-        "always",
-        "random",
-        "classifier",
-        "oracle-gain",
-    }
-)
+GAINLESS = {
+    *("autonomous", "or-hitl", "or-hitl-window", "queue", "always", "random"),
+    *("classifier", "oracle-gain"),
+}
 
 
 @dataclasses.dataclass(frozen=True)

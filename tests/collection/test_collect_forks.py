@@ -70,6 +70,8 @@ def settings(out: Path, **changes) -> CollectConfig:
         out=out,
         classes=("tight",),
         engine="native",
+        world="none",
+        physics="authors",
         operator="aside",
         keys=KEYS,
         ask_from=3,

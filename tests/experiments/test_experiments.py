@@ -58,6 +58,8 @@ def test_illustrations_are_drawn_from_the_stored_data(number):
 def test_rows_come_from_the_cells_of_a_sweep(tmp_path, capsys):
     runs = importlib.import_module("study_runs")
     config = SweepConfig(
+        world="none",
+        physics="authors",
         engine="planar",
         policies=("autonomous", "or-hitl"),
         robots=(1, 2),

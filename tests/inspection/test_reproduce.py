@@ -316,6 +316,8 @@ def settings(**changes) -> SweepConfig:
         "seed": 1,
         "operator": "nudge",
         "horizon": 110.0,
+        "world": "none",
+        "physics": "authors",
     }
     return SweepConfig(**(values | changes))
 

@@ -95,7 +95,9 @@ def test_what_cannot_be_carried_out_is_one_line(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes what it warns of to a file where it runs
     with pytest.raises(BadInput, match=r"engine: expected one of .*, got 'bull'"):
         Motion(plan(engine="bull"))
-    with pytest.raises(BadInput, match=r"physics: expected one of default, paper, got .soft."):
+    with pytest.raises(
+        BadInput, match=r"physics: expected one of default, authors, paper, got .soft."
+    ):
         Motion(plan(physics="soft"))
     wild = dataclasses.replace(REACH, controls=np.full((8, 3), 1e30))
     with pytest.raises(BadInput, match="plan short: does not stay finite in engine native"):

@@ -26,7 +26,7 @@ from pgf_jax.scene import Scene, load_scene, sample_scene
 
 pytestmark = pytest.mark.usefixtures("remembered_rollouts")
 
-NATIVE = PlanConfig(engine="native")
+NATIVE = PlanConfig(engine="native", world="none", physics="authors")
 
 
 class Aside:

@@ -167,7 +167,7 @@ def test_lanes_are_those_of_a_sweep_unless_told():
         ({"lanes": (0,)}, "lanes: expected a whole number 1 or more, got 0"),
         ({"cores": 0}, "cores: expected a whole number 1 or more, got 0"),
         ({"repeats": -1}, "repeats: expected a whole number 1 or more, got -1"),
-        ({"physics": "x"}, "physics: expected one of default, paper, got 'x'"),
+        ({"physics": "x"}, "physics: expected one of default, authors, paper, got 'x'"),
         ({"engines": ("x",)}, "engines: expected one of .*, got 'x'"),
     ],
 )

@@ -103,6 +103,8 @@ def ghost(out: Path, **changes) -> SweepConfig:
         "engine": "ghost",
         "operator": "none",
         "lanes": 4,
+        "world": "none",  # nothing that a ghost does is true in any
+        "physics": "authors",
         "out": out,
     }
     return SweepConfig(**(settings | changes))

@@ -161,7 +161,7 @@ def test_a_random_winner_reaches_the_planner():
     [
         ({"preset": "huge"}, "preset: expected one of quick, paper, got 'huge'"),
         ({"engine": "bullet"}, "engine: expected one of .*mjx.*, got 'bullet'"),
-        ({"physics": "moon"}, "physics: expected one of default, paper, got 'moon'"),
+        ({"physics": "moon"}, "physics: expected one of default, authors, paper, got 'moon'"),
         ({"cost": "free"}, "cost: .* got 'free'"),
         ({"update": "cem"}, "update: .* got 'cem'"),
         ({"scene_class": "huge"}, "expected one of tight, medium, wide, all, got 'huge'"),

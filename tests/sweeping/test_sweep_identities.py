@@ -35,6 +35,8 @@ def fleets(request, tmp_path_factory):
         operator="heuristic",
         scene_class="wide",
         workers=1,
+        world="none",
+        physics="authors",
         out=out,
         **changes,
     )
