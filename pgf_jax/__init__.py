@@ -31,7 +31,10 @@ if TYPE_CHECKING:
     from pgf_jax.physics.engine import register_engine as register_engine
     from pgf_jax.planning.types import Push as Push
     from pgf_jax.planning.types import Status as Status
+    from pgf_jax.plans.config import ExecuteConfig as ExecuteConfig
     from pgf_jax.plans.config import PlanConfig as PlanConfig
+    from pgf_jax.plans.execute import Execution as Execution
+    from pgf_jax.plans.execute import execute as execute
     from pgf_jax.plans.file import Plan as Plan
     from pgf_jax.plans.file import load_plan as load_plan
     from pgf_jax.plans.file import save_plan as save_plan
@@ -50,6 +53,8 @@ _MODULES = {
     "BadInput": "errors",
     "CollectConfig": "collection.config",
     "Discipline": "fleet.policies",
+    "ExecuteConfig": "plans.config",
+    "Execution": "plans.execute",
     "FleetConfig": "fleet.config",
     "Physics": "physics.config",
     "Plan": "plans.file",
@@ -65,6 +70,7 @@ _MODULES = {
     "View": "guidance.view",
     "collect": "collection.collect",
     "configure": "jax_setup",
+    "execute": "plans.execute",
     "load_plan": "plans.file",
     "load_scene": "scene.mjcf",
     "load_sweep": "sweeping.load",

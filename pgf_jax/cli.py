@@ -123,6 +123,12 @@ def _plan(command: Any) -> None:
     run(command)
 
 
+def _execute(command: Any) -> None:
+    from pgf_jax.plans.execute_command import run
+
+    run(command)
+
+
 def _sweep(config: Any) -> None:
     from pgf_jax.sweeping.sweep import sweep
 
@@ -187,6 +193,11 @@ def _console(config: Any) -> None:
 
 COMMANDS = {
     "plan": Command("plan scenes, and write the plans", "pgf_jax.plans.config:PlanCommand", _plan),
+    "execute": Command(
+        "execute plans in a world in 3-D: do they grasp?",
+        "pgf_jax.plans.config:ExecuteCommand",
+        _execute,
+    ),
     "sweep": Command(
         "simulate fleets of several sizes under several policies",
         "pgf_jax.sweeping.config:SweepConfig",

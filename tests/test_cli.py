@@ -55,7 +55,7 @@ def process(*arguments: object) -> subprocess.CompletedProcess:
 ARGUMENTS = {
     "command": (
         ["plane"],
-        "command: expected one of plan, sweep, verify, reproduce, console, collect, train, "
+        "command: expected one of plan, execute, sweep, verify, reproduce, console, collect, train, "
         "fit-operator, profile, render, got 'plane'",
     ),
     "robots": (["console", "--robots", "0"], "--robots: expected a whole number within 1..100"),

@@ -15,6 +15,8 @@ import polars as pl
 from pgf_jax.fleet.events import Event
 from pgf_jax.fleet.metrics import CellSummary
 from pgf_jax.fleet.records import TaskRecord
+from pgf_jax.plans.execute import Execution
+from pgf_jax.plans.execute_command import EXECUTION_SCHEMA
 from pgf_jax.plans.file import Plan
 from pgf_jax.sweeping.columns import TASK_SCHEMA, setting_texts
 from pgf_jax.sweeping.config import SweepConfig
@@ -105,6 +107,11 @@ def tables() -> list[Table]:
             "paired.csv",
             "one row for each fleet size, two policies and value",
             _columns(paired_frame([]).schema, paired),
+        ),
+        Table(
+            "executions.parquet",
+            "one row for each execution of a plan",
+            _columns(EXECUTION_SCHEMA, attributes(Execution)),
         ),
         Table("runs.parquet", "one row for each iteration of each run", _texts(RUN_COLUMNS)),
         Table("forks.parquet", "one row for each state and key", _texts(FORK_COLUMNS)),

@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -12,7 +12,7 @@ from pgf_jax.fleet.policies import after, check_ask
 from pgf_jax.guidance.operators.registry import check_operator
 from pgf_jax.physics.config import PhysicsName, physics_of
 from pgf_jax.physics.engine import check_engine
-from pgf_jax.physics.worlds.config import WorldName
+from pgf_jax.physics.worlds.config import WorldName, world_error_of
 from pgf_jax.planning.config import (
     PLANNER_OPTIONS,
     SIGMA,
@@ -188,3 +188,61 @@ class PlanCommand:
         if self.scene and self.count != 1:
             raise BadInput(f"count: goes with scene_class only, got {self.count} with scene files")
         check_int("seed", self.seed, 0, MAX_SEED - self.count + 1)
+
+
+@dataclasses.dataclass(frozen=True)
+class ExecuteConfig:
+    """How plans are executed; BadInput where a value is wrong.
+
+    Attributes:
+      world: in which world: solid (a shelf in 3-D of our own) or scene (that of the scene file);
+        None: the one in which the plan was checked, or else solid.
+      world_error: how far that world is from the one in which the plan was checked, drawn once for
+        each repeat: default, or spreads as in friction=0.3 mass=0.3 position=0.005 (shares, and m);
+        the names are the fields of WorldError.
+      repeats: how often each plan is executed, each time under another draw of the world's error.
+      scenes: folder of the scene files (*.xml), for world scene.
+    """
+
+    world: Literal["solid", "scene"] | None = None
+    world_error: tuple[str, ...] = ()
+    repeats: Count = 1
+    scenes: Path | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        world_error_of(self.world_error, self.world or "solid")
+        if self.repeats > 1 and not self.world_error:
+            raise BadInput(
+                f"repeats: expected with world_error only, got {self.repeats}: without one all "
+                "executions of a plan are the same"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class ExecuteCommand:
+    """Execute plans in a world in three dimensions, and say whether they grasp their goals.
+
+    Attributes:
+      plans: files of plans, NAME.plan.json.
+      out: folder for a table of the executions, executions.parquet; None: none is written.
+      json: print one JSON object instead of a table.
+      config: how the plans are executed.
+    """
+
+    plans: tyro.conf.Positional[tuple[Path, ...]] = ()
+    out: Path | None = None
+    json: bool = False
+    config: Annotated[ExecuteConfig, tyro.conf.arg(name="")] = dataclasses.field(
+        default_factory=ExecuteConfig
+    )
+
+    GROUPS = (  # of options, for the help
+        ("world", ("world", "world_error", "repeats", "scenes")),
+        ("output", ("out", "json")),
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if not self.plans:
+            raise BadInput("plans: expected one or more files of plans, got none")
