@@ -435,7 +435,7 @@ def test_help_of_a_command_at_80_columns(name, monkeypatch, capsys):
         if field in options:
             assert text in words
             positional = f"--{field.replace('_', '-')}" not in words
-            assert positional == (field in ("mode", "what", "file", "folder"))
+            assert positional == (field in ("mode", "what", "file", "folder", "plans"))
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -447,7 +447,7 @@ def test_groups_hold_options_once(name):
     ungrouped = options.keys() - {*groups}
     assert {*groups} <= options.keys()
     if groups:
-        assert ungrouped <= {"mode", "what", "file", "folder"}  # those without a flag
+        assert ungrouped <= {"mode", "what", "file", "folder", "plans"}  # those without a flag
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -458,7 +458,10 @@ def test_what_none_means_is_said(name):
 
 
 # Options of one name that mean something else in each command, or have more choices in some.
-OTHER_MEANING = {"json", "log", "out", "patience", "resume", "scenes", "seed", "speed"}
+OTHER_MEANING = {
+    *("json", "log", "out", "patience", "repeats", "resume", "scenes", "seed", "speed"),
+    *("world", "world_error"),
+}
 MORE_CHOICES = {"operator", "policy", "predictor", "robot", "robots", "scene_class", "task"}
 
 

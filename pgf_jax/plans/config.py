@@ -201,7 +201,7 @@ class ExecuteConfig:
         each repeat: default, or spreads as in friction=0.3 mass=0.3 position=0.005 (shares, and m);
         the names are the fields of WorldError.
       repeats: how often each plan is executed, each time under another draw of the world's error.
-      scenes: folder of the scene files (*.xml), for world scene.
+      scenes: folder of the scene files (*.xml), for world scene; None: there is none.
     """
 
     world: Literal["solid", "scene"] | None = None

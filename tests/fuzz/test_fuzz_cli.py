@@ -76,6 +76,7 @@ TOKENS = (
 ENOUGH = {
     "plan": ["--scene-class", "tight"],
     "collect": ["human", "--scenes", "2", "--out", "x"],
+    "execute": ["x"],
     "verify": ["x"],
     "reproduce": ["x"],
     "train": ["--data", "x", "--out", "y"],
