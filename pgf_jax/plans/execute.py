@@ -7,12 +7,13 @@ retreat after a push included. So what a check called solved is grasped here, bi
 import concurrent.futures
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from pgf_jax import cores
 from pgf_jax.errors import BadInput
+from pgf_jax.physics.engine import World
 from pgf_jax.physics.worlds.config import world_error_of
 from pgf_jax.physics.worlds.world import Command, Executed, State, World3D
 from pgf_jax.plans.config import ExecuteConfig
@@ -87,13 +88,19 @@ def iter_executions(
         yield from pool.map(one, jobs)
 
 
-def segments_executed(plan: Plan, world: World3D, state: State) -> Iterator[tuple[str, Executed]]:
+def segments_executed(
+    plan: Plan,
+    world: World3D,
+    state: State,
+    watch: Callable[[float, World], None] | None = None,
+) -> Iterator[tuple[str, Executed]]:
     """Execute the segments of a plan in turn.
 
     Args:
       plan: to execute.
       world: in which.
       state: before the plan.
+      watch: see `World3D.execute`.
 
     Yields:
       Of each segment its kind (push, retreat or reach), and what happened.
@@ -107,12 +114,12 @@ def segments_executed(plan: Plan, world: World3D, state: State) -> Iterator[tupl
             goal=plan.scene.goal,
             keep=True,
         )
-        executed = world.execute(command)
+        executed = world.execute(command, watch)
         yield segment.kind, executed
         assert executed.state is not None
         state = executed.state
         if segment.kind == "push":
-            executed = world.execute(world.retreat(state))
+            executed = world.execute(world.retreat(state), watch)
             yield "retreat", executed
             assert executed.state is not None
             state = executed.state

@@ -11,8 +11,10 @@ from pgf_jax.physics import hand
 from pgf_jax.physics.config import Physics, physics_of
 from pgf_jax.physics.engine import Engine, World, make_engine
 from pgf_jax.physics.hand import RETREAT_M, RETREAT_S
+from pgf_jax.physics.worlds.solid import SolidWorld
 from pgf_jax.planning.planner import start_world
 from pgf_jax.planning.types import Push
+from pgf_jax.plans.execute import segments_executed
 from pgf_jax.plans.file import Plan
 from pgf_jax.simulation.snapshot import RobotSnapshot, end_effector
 
@@ -20,9 +22,14 @@ from pgf_jax.simulation.snapshot import RobotSnapshot, end_effector
 # would lag behind the hand.
 _PARTS = 6
 
+_Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # times, objects, hand, gripper
+
 
 class Motion:
     """The execution of a plan over time, from 0; planning takes no time here.
+
+    A plan that was checked in the solid world is executed there once more, bit for bit as it was
+    checked; any other is rolled out by its engine.
 
     M is the number of times, N the number of objects.
 
@@ -39,13 +46,49 @@ class Motion:
     """
 
     def __init__(self, plan: Plan) -> None:
-        engine = make_engine(
-            plan.engine, physics=_physics(plan), n_objects=len(plan.scene.objects), lanes=1
-        )
         self.plan = plan
         self._knots: list[np.ndarray] = []  # of each segment, [T + 1, 3] hand poses
         self._pushes: list[Push | None] = []
         self._starts: list[float] = []  # of each segment, s
+        in_world = plan.settings.get("world") == "solid"
+        rows = self._executed(plan) if in_world else self._rolled_out(plan)
+        table = [np.concatenate(part) for part in zip(*rows, strict=True)]
+        self.times, self.objects, self.hand, self.gripper = table
+        if not all(np.isfinite(part).all() for part in table):
+            raise BadInput(
+                f"plan {plan.scene.name}: does not stay finite in engine {plan.engine}; "
+                "expected a plan that can be executed"
+            )
+
+    def _executed(self, plan: Plan) -> list[_Rows]:
+        """Execute the plan in the solid world."""
+        world = SolidWorld(len(plan.scene.objects))
+        state = world.start(plan.scene)
+        rows = [_rows(np.zeros(1), world.seen(state))]
+        parts: list[tuple[float, World]] = []
+        segments = iter(plan.segments)
+        for kind, executed in segments_executed(plan, world, state, lambda *p: parts.append(p)):
+            before = rows[-1]
+            begins = float(before[0][-1])
+            seconds = RETREAT_S if kind == "retreat" else next(segments).duration_s
+            times = begins + seconds * np.array([share for share, _ in parts])
+            seen = [np.stack(part) for part in zip(*(world for _, world in parts), strict=True)]
+            rows.append((times, seen[0], seen[2], seen[3]))
+            parts.clear()
+            if kind == "retreat":
+                continue
+            self._starts.append(begins)
+            hands = executed.rollout.hand.astype(np.float32)
+            self._knots.append(np.concatenate([before[2][-1:], hands]))
+            moved = _pushed(before[1][-1], seen[0][-1]) if kind == "push" else None
+            self._pushes.append(moved)
+        return rows
+
+    def _rolled_out(self, plan: Plan) -> list[_Rows]:
+        """Roll the plan out by its engine."""
+        engine = make_engine(
+            plan.engine, physics=_physics(plan), n_objects=len(plan.scene.objects), lanes=1
+        )
         world = start_world(plan.scene.positions)
         rows = [_rows(np.zeros(1), world)]
         for segment in plan.segments:
@@ -63,13 +106,7 @@ class Motion:
             if push:
                 world, done = _retreat(engine, world, float(done[0][-1]))
                 rows.append(done)
-        table = [np.concatenate(part) for part in zip(*rows, strict=True)]
-        self.times, self.objects, self.hand, self.gripper = table
-        if not all(np.isfinite(part).all() for part in table):
-            raise BadInput(
-                f"plan {plan.scene.name}: does not stay finite in engine {plan.engine}; "
-                "expected a plan that can be executed"
-            )
+        return rows
 
     @property
     def duration_s(self) -> float:
@@ -144,9 +181,6 @@ def _physics(plan: Plan) -> Physics:
         return physics_of(plan.physics, [str(text) for text in constants])
     except (BadInput, TypeError) as error:
         raise BadInput(f"plan {plan.scene.name}: {error}") from None
-
-
-_Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # times, objects, hand, gripper
 
 
 def _rows(times: np.ndarray, world: World) -> _Rows:

@@ -137,3 +137,30 @@ def test_it_is_public():
     assert pgf_jax.execute is execute
     with pytest.raises(BadInput, match="plan: expected a Plan"):
         pgf_jax.execute("tight_0")  # pyright: ignore[reportArgumentType]
+
+
+def test_the_motion_of_a_plan_is_that_very_execution(plans):
+    """With somebody watching it is the same to the last bit, and ends where the world says."""
+    one = next(p for p in plans if p.solved and p.pushes)
+    world = SolidWorld(20)
+    seen = []
+    watched = list(
+        segments_executed(
+            one, world, world.start(one.scene), lambda share, what: seen.append((share, what))
+        )
+    )
+    plain = list(segments_executed(one, world, world.start(one.scene)))
+    for (kind, a), (other, b) in zip(watched, plain, strict=True):
+        assert kind == other and a.distance == b.distance or np.isnan(a.distance)
+        for x, y in zip(a.rollout, b.rollout, strict=True):
+            assert np.array_equal(x, y)
+    assert len(seen) == sum(6 * len(executed.rollout.hand) for _, executed in plain)
+    motion = one.motion()
+    ends = plain[-1][1].rollout
+    assert np.array_equal(motion.objects[-1], ends.objects[-1].astype(np.float32))
+    assert motion.duration_s == pytest.approx(3.0 * len(one.segments) + 1.0 * one.pushes)
+    assert motion.at(2.0).push is not None and motion.at(motion.duration_s).push is None
+    assert (np.diff(motion.times) > 0).all()
+    # The hand's end-effector point is within reach of the goal where it ends.
+    point = motion.end_effector_paths()[-1][-1]
+    assert np.linalg.norm(point - motion.objects[-1][one.scene.goal]) < 0.06

@@ -8,6 +8,7 @@ world is here because it is the published one.
 # MuJoCo's compiled modules come without type stubs.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -81,7 +82,12 @@ class SceneWorld(World3D):
         return self.model.body("robot").id
 
     def _drive(
-        self, data: Any, velocity: np.ndarray, gripper: tuple[float, float], seconds: float
+        self,
+        data: Any,
+        velocity: np.ndarray,
+        gripper: tuple[float, float],
+        seconds: float,
+        watch: Callable[[float], None] | None = None,
     ) -> None:
         before, after = gripper
         steps = round(seconds / STEP_S)  # 1 s is 667 steps here
@@ -92,6 +98,8 @@ class SceneWorld(World3D):
             qvel[self._finger_qvel] = 0
             mujoco.mj_step(self.model, data)
         mujoco.mj_forward(self.model, data)
+        if watch is not None:
+            watch(1.0)
 
     def _hand(self, data: Any) -> np.ndarray:
         return data.qpos[self._base_qpos]

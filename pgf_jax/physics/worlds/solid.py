@@ -9,6 +9,7 @@ along what they touch; there is nothing of that here.
 # pyright: reportAttributeAccessIssue=false
 
 import copy
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -23,6 +24,7 @@ from pgf_jax.scene.scene import HEIGHT, Scene
 
 _BASE = slice(0, 3)  # x, y, yaw of the base, in qpos and qvel
 _SLIP = slice(3, 6)  # x, y, yaw of the hand on the base
+_WATCHED = 6  # times in a knot, where somebody watches
 
 
 class SolidWorld(World3D):
@@ -87,7 +89,12 @@ class SolidWorld(World3D):
         return self._closed * gripper / hand.GRIPPER_CLOSED
 
     def _drive(
-        self, data: Any, velocity: np.ndarray, gripper: tuple[float, float], seconds: float
+        self,
+        data: Any,
+        velocity: np.ndarray,
+        gripper: tuple[float, float],
+        seconds: float,
+        watch: Callable[[float], None] | None = None,
     ) -> None:
         self._take_up(data)
         # 1 s is no whole number of steps: velocities are such that the way is the commanded one.
@@ -99,8 +106,13 @@ class SolidWorld(World3D):
         data.qpos[self._link_qpos] = before
         data.qvel[_BASE] = velocity * (seconds / simulated_s)
         data.qvel[self._link_qvel] = (after - before) / simulated_s
-        mujoco.mj_step(self.model, data, steps)
-        mujoco.mj_kinematics(self.model, data)
+        parts = 1 if watch is None else min(_WATCHED, steps)
+        for part in range(1, parts + 1):
+            count = steps * part // parts - steps * (part - 1) // parts
+            mujoco.mj_step(self.model, data, count)
+            mujoco.mj_kinematics(self.model, data)
+            if watch is not None:
+                watch(part / parts)
 
     def _take_up(self, data: Any) -> None:
         """Put the base where the hand is, which may have slipped: commands are about the hand.

@@ -12,7 +12,7 @@ import abc
 import concurrent.futures
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -117,16 +117,38 @@ class World3D(abc.ABC):
 
     @abc.abstractmethod
     def _drive(
-        self, data: Any, velocity: np.ndarray, gripper: tuple[float, float], seconds: float
+        self,
+        data: Any,
+        velocity: np.ndarray,
+        gripper: tuple[float, float],
+        seconds: float,
+        watch: Callable[[float], None] | None = None,
     ) -> None:
-        """Simulate one knot: the hand's velocity, and the gripper's values before and after."""
+        """Simulate one knot.
+
+        Args:
+          data: MjData.
+          velocity: [3] of the hand.
+          gripper: its values before and after.
+          seconds: of the knot.
+          watch: called with the share of the knot that is done, from time to time and at the end;
+            what happens does not depend on it.
+        """
 
     @abc.abstractmethod
     def _hand(self, data: Any) -> np.ndarray:
         """[3] pose of the hand: base x, y (m) and yaw (rad)."""
 
-    def execute(self, command: Command) -> Executed:
-        """Execute a segment on a copy of the state in which it starts."""
+    def execute(
+        self, command: Command, watch: Callable[[float, World], None] | None = None
+    ) -> Executed:
+        """Execute a segment on a copy of the state in which it starts.
+
+        Args:
+          command: the segment.
+          watch: called from time to time with the share of the segment that is done, and what is
+            seen then (see `seen`); the execution does not depend on it.
+        """
         state, n, t = command.state, self.n_objects, len(command.controls)
         data = self._copy(state.data)
         objects, hands = np.empty((t, n, 2)), np.empty((t, 3))
@@ -134,7 +156,15 @@ class World3D(abc.ABC):
         before, upright, touched = state.gripper, 1.0, False
         for k in range(t):
             now = float(command.gripper[k])
-            self._drive(data, command.controls[k], (before, now), command.seconds / t)
+
+            def note(share: float, k: int = k, before: float = before, now: float = now) -> None:
+                assert watch is not None
+                gripper = before + (now - before) * share
+                watch((k + share) / t, self.seen(State(data, gripper)))
+
+            knot_s = command.seconds / t
+            noted = None if watch is None else note
+            self._drive(data, command.controls[k], (before, now), knot_s, noted)
             before = now
             objects[k], hands[k] = data.xpos[self._objects, :2], self._hand(data)
             upright = min(upright, float(data.xmat[self._objects, 8].min()))
