@@ -55,8 +55,8 @@ def process(*arguments: object) -> subprocess.CompletedProcess:
 ARGUMENTS = {
     "command": (
         ["plane"],
-        "command: expected one of plan, execute, sweep, verify, reproduce, console, collect, train, "
-        "fit-operator, profile, render, got 'plane'",
+        "command: expected one of plan, execute, sweep, verify, reproduce, console, collect, "
+        "train, fit-operator, profile, render, got 'plane'",
     ),
     "robots": (["console", "--robots", "0"], "--robots: expected a whole number within 1..100"),
     "host": (["console", "--host", "here"], "--host: expected an address such as 127.0.0.1"),

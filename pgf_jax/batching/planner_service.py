@@ -18,7 +18,7 @@ from pgf_jax.batching.requests import Execute, PredictGain, Request, Retreat, St
 from pgf_jax.physics.config import Physics, physics_of
 from pgf_jax.physics.engine import ENGINES, Engine, make_engine
 from pgf_jax.physics.worlds.world import execute_all
-from pgf_jax.planning.candidates import candidates_of
+from pgf_jax.planning import candidates
 from pgf_jax.planning.config import Planner as PlannerConfig
 from pgf_jax.planning.config import Planning, planner_of
 from pgf_jax.planning.planner import BatchPlanner, Rolled, Search
@@ -96,16 +96,16 @@ class PlannerService:
         """Compute an iteration and return all of its rollouts too; it counts in no statistics."""
         return self.planner.rolled(step.search, self._keys_of([step])[0])
 
-    def _iterate(self, steps: Sequence[Step], candidates: bool) -> list[Any]:
+    def _iterate(self, steps: Sequence[Step], checked: bool) -> list[Any]:
         self.calls += 1
         self.steps += len(steps)
         self.lanes_used += len(steps)
         searches, keys = [step.search for step in steps], self._keys_of(steps)
-        if not candidates:
+        if not checked:
             return self.planner.step(searches, keys)
         pairs = zip(searches, self.planner.step_valued(searches, keys), strict=True)
         return [
-            (after, candidates_of(before, rolled, self.planner))
+            (after, candidates.candidates_of(before, rolled, self.planner))
             for before, (after, rolled) in pairs
         ]
 
@@ -115,16 +115,28 @@ class PlannerService:
         return list(np.asarray(self._keys(np.array(paths, np.uint32)))[: len(steps)])
 
 
-def warm_up(planner_service: PlannerService, search: Search, seed: int) -> float:
+def warm_up(
+    planner_service: PlannerService, search: Search, seed: int, *, checked: bool = False
+) -> float:
     """Compile the programs by one iteration whose result is not used.
+
+    Args:
+      planner_service: to warm up.
+      search: any.
+      seed: of the iteration.
+      checked: whether candidates will be checked in a world, which takes programs of its own.
 
     Returns:
       The time that it took, s; 0 where a service with the same programs has been warmed up before.
     """
     if planner_service.warm:
         return 0.0
-    planner_service.compute([Step(search, robot_key_path(seed, 0, 0, 0)(0))])
-    seconds = planner_service.seconds
+    start, key_path = time.perf_counter(), robot_key_path(seed, 0, 0, 0)(0)
+    planner_service.compute([Step(search, key_path)])
+    if checked:
+        planner_service.compute([Step(search, key_path, candidates=True)])
+        candidates.warm_up(planner_service.planner, search)
+    seconds = time.perf_counter() - start
     planner_service.warm.append(True)
     planner_service.occupancy()
     planner_service.steps = 0

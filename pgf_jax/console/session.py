@@ -128,6 +128,7 @@ class Session:
         self._seen = 0  # events; `restore` may have ended a service that it opened
         self._present = self.runner.fleet.operators.is_present(0)
         self._frame_at = 0.0
+        self._shown_ns = spec.start_ns
         self._stopping = False
 
     # -- from other threads ---------------------------------------------------------------------
@@ -200,7 +201,9 @@ class Session:
         Unless the fleet is done, the session can be resumed from its log.
         """
         fleet = self.runner.fleet
-        warm_up(self.runner.planner_service, self._any_search(), self._config.seed)
+        checked = self.runner.robots.verified
+        service, seed = self.runner.planner_service, self._config.seed
+        warm_up(service, self._any_search(), seed, checked=checked)
         if not self._live:
             self.clock.start()
         with ThreadPoolExecutor(1, "engine") as worker:
@@ -303,7 +306,9 @@ class Session:
         self._frame_at = now + FRAME_S
         panel, request = self.panel, self.panel.pending
         picked = request and Picked(request.robot, panel.object, panel.target, panel.problem)
-        time_ns = max(self.clock.now_ns(), self.runner.fleet.now_ns)
+        # Where the clock was set back, what is shown waits for it.
+        time_ns = max(self.clock.now_ns(), self.runner.fleet.now_ns, self._shown_ns)
+        self._shown_ns = time_ns
         frame = Frame(
             self.runner.observer.snapshot(time_ns),
             picked,

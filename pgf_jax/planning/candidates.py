@@ -94,6 +94,14 @@ def candidates_of(before: Search, rolled: Rolled, planner: BatchPlanner) -> Cand
     return Candidates(before, rolled, open_) if open_.any() else None
 
 
+def warm_up(planner: BatchPlanner, search: Search) -> None:
+    """Compile what the checks of candidates take; `search` is any."""
+    planner.evaluate(search, search.best)
+    best = Rolled(search.controls, search.best, search.value)
+    for count in {1, _count(search._replace(iteration=np.int32(0)), planner)}:
+        planner.take(search, jax.tree.map(lambda x, n=count: np.stack([x] * n), best))
+
+
 def _was_left_over(search: Search, planner: BatchPlanner) -> bool:
     """Whether the best so far is feasible to the engine, and was not checked."""
     value, cost = search.value, planner.config.cost

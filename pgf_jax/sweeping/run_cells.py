@@ -93,7 +93,7 @@ def _run_alike(
             caches[key] = cell.fleet.search_cache(service)
     first = cells[0].fleet
     search = caches[first.cache_key].task(0, 0).root.search
-    compile_s = warm_up(service, search, first.config.seed)
+    compile_s = warm_up(service, search, first.config.seed, checked=first.world is not None)
     running: dict[CellSpec, PlannedFleet] = {}
     for cell in cells:
         robots = cell.fleet.planned_robots(caches[cell.fleet.cache_key])

@@ -151,7 +151,7 @@ def test_the_motion_of_a_plan_is_that_very_execution(plans):
     )
     plain = list(segments_executed(one, world, world.start(one.scene)))
     for (kind, a), (other, b) in zip(watched, plain, strict=True):
-        assert kind == other and a.distance == b.distance or np.isnan(a.distance)
+        assert (kind == other and a.distance == b.distance) or np.isnan(a.distance)
         for x, y in zip(a.rollout, b.rollout, strict=True):
             assert np.array_equal(x, y)
     assert len(seen) == sum(6 * len(executed.rollout.hand) for _, executed in plain)

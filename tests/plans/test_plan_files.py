@@ -26,7 +26,8 @@ def a_plan() -> Plan:
         seed=3,
         engine="native",
         lanes=1,
-        physics="default",
+        physics="authors",
+        settings={"world": "none"},
         cost_variant="source",
         update="greedy",
         operator="heuristic",
@@ -83,12 +84,12 @@ def test_a_plan_file_by_hand(tmp_path):
         "seed": 3,
         "engine": "native",
         "lanes": 1,
-        "physics": "default",
+        "physics": "authors",
         "cost_variant": "source",
         "update": "greedy",
         "operator": "heuristic",
         "ask": "after:3",
-        "settings": {},
+        "settings": {"world": "none"},
         "objects": [[0.4, 0.1, 0.03], [0.5, 0.0, 0.03]],
         "goal": 1,
         "segments": [
@@ -217,9 +218,14 @@ def test_a_folder_that_cannot_be_is_named(tmp_path):
 def test_a_plan_says_which_other_settings_it_was_made_with(tmp_path):
     from pgf_jax.plans.file import _other_settings
 
-    assert _other_settings(PlanConfig(engine="native", lanes=3)) == {}
+    assert _other_settings(PlanConfig(engine="native", lanes=3)) == {"world": "solid"}
     config = PlanConfig(sigma=(0.1, 0.1, 0.1), cost_weights=("w_d=1",), task_limit=90.0)
-    settings = {"sigma": [0.1, 0.1, 0.1], "cost_weights": ["w_d=1"], "task_limit": 90.0}
+    settings = {
+        "sigma": [0.1, 0.1, 0.1],
+        "cost_weights": ["w_d=1"],
+        "task_limit": 90.0,
+        "world": "solid",
+    }
     assert _other_settings(config) == settings
     made = dataclasses.replace(a_plan(), settings=settings)
     assert load_plan(save_plan(tmp_path, made)).settings == settings

@@ -69,7 +69,7 @@ def test_checks_are_in_the_tables(folder, error):
     missed = events.filter((pl.col("kind") == "execution_end") & (pl.col("outcome") == "missed"))
     assert (len(missed) > 0) == error
     solved = tasks.filter(pl.col("status") == "solved")
-    assert solved["attempts"].min() == 1 and (solved["attempts"].max() > 1) <= error
+    assert solved["attempts"].min() == 1 and (solved["attempts"] > 1).any() <= error
 
 
 @pytest.mark.parametrize("error", [False, True])
