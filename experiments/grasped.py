@@ -83,8 +83,8 @@ def main(config: Config) -> None:
     console = Console(width=200)
     if config.scenes is not None:
         published = [(load_scene(path), 0) for path in sorted(config.scenes.glob("*.xml"))]
-        worlds: list[World] = [*config.worlds]
-        for world in worlds if "scene" in worlds else [*worlds, "scene"]:
+        own: tuple[World, ...] = () if "scene" in config.worlds else ("scene",)
+        for world in (*config.worlds, *own):
             console.print(f"published, world {world}: {judge(published, world, config)}")
     for name in config.classes:
         sampled = [
