@@ -89,7 +89,10 @@ def labelled(frame: pl.DataFrame, about: Mapping[str, Any]) -> pl.DataFrame:
 def _constant(value: Any, dtype: pl.DataType, name: str) -> pl.Expr:
     if isinstance(value, list | tuple):  # as text, so that rows can be grouped by it
         value = " ".join(map(str, value))
-    return pl.lit(pl.Series([value], dtype=dtype)).first().alias(name)
+    try:
+        return pl.lit(pl.Series([value], dtype=dtype)).first().alias(name)
+    except OverflowError:  # a whole number of hundreds of digits
+        raise TypeError(f"{name}: too large for {dtype}") from None
 
 
 def _of_inputs(identity: Mapping[str, Any]) -> dict[str, str | None]:

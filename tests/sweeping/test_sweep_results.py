@@ -564,3 +564,10 @@ def test_metrics_of_checks_by_hand():
     file = io.StringIO()
     Console(width=80, file=file).print(summary_tables(summaries()))
     assert "1st attempt" not in file.getvalue()
+
+
+def test_a_setting_that_is_too_large_for_its_column_is_a_wrong_type():
+    """Whoever reads a forged cell takes it as one that is not as written."""
+    with pytest.raises(TypeError, match="lanes: too large for Int64"):
+        columns._constant(10**200, pl.Int64(), "lanes")
+    assert pl.select(columns._constant(3, pl.Int64(), "lanes")).item() == 3
