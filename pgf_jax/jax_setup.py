@@ -28,9 +28,10 @@ FLAG = "--xla_backend_extra_options"
 TESTED = ("0.10.2",)
 CACHE = ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
 VARIABLES = ("XLA_FLAGS", "NPROC", *CACHE)
-AS_CALLER = "xla_options"  # the key under which a worker is told whether its caller has them
+AS_CALLER = "xla"  # the key under which a worker is told what its caller has, see `as_caller`
 
 _wanted = True  # the options, see `as_caller`
+_own_nproc: str | None = None  # the value that NPROC was set to here
 
 
 def configure(engine: str | None = "planar") -> None:
@@ -61,8 +62,14 @@ def configure(engine: str | None = "planar") -> None:
         configure_early(engine)
 
 
-def configure_early(engine: str | None) -> None:
-    """Do what `configure` does where JAX has not started; else nothing, and without a word."""
+def configure_early(engine: str | None, threads: int = 1) -> None:
+    """Do what `configure` does where JAX has not started; else nothing, and without a word.
+
+    Args:
+      engine: see `configure`.
+      threads: of this process that will call `planar` side by side, each on a thread of XLA.
+    """
+    global _own_nproc
     if started():
         return
     flags = os.environ.get("XLA_FLAGS", "").strip()
@@ -70,18 +77,24 @@ def configure_early(engine: str | None) -> None:
     ours = ",".join(f"{name}={value}" for name, value in OPTIONS.items() if name not in flags)
     if ours and _wanted and (not flags or flags[0] == "-") and _is_tested():
         os.environ["XLA_FLAGS"] = f"{flags} {FLAG}={ours}".strip()
-    if engine == "planar":
-        os.environ.setdefault("NPROC", "1")
+    if engine == "planar" and os.environ.get("NPROC", _own_nproc) == _own_nproc:
+        os.environ["NPROC"] = _own_nproc = str(threads)
     _keep_compiled()
 
 
-def as_caller(has_options: bool) -> None:
+def for_workers() -> tuple[bool, str | None]:
+    """What a worker is told of this process: whether it has the options; NPROC, if set here."""
+    return has_options(), _own_nproc
+
+
+def as_caller(told: tuple[bool, str | None]) -> None:
     """Leave XLA's options out in this process if its caller is without them.
 
-    Called before JAX starts: with the same options, results are the same.
+    Called before JAX starts: with the same options, results are the same. The caller's NPROC was
+    inherited, and is for the caller.
     """
-    global _wanted
-    _wanted = has_options
+    global _wanted, _own_nproc
+    _wanted, _own_nproc = told
 
 
 def has_options() -> bool:

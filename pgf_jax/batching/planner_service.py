@@ -6,6 +6,7 @@ shares its call.
 
 import copy
 import functools
+import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -27,6 +28,8 @@ from pgf_jax.planning.planner import BatchPlanner, Rolled, Search
 class PlannerService:
     """An engine and a planner that compute the requests of all robots of a process.
 
+    Several threads may call `compute` at a time.
+
     Args:
       engine: rolls out L lanes of K rollouts at a time.
       config: of the planner.
@@ -39,6 +42,7 @@ class PlannerService:
         self.calls = 0  # iteration calls made
         self.lanes_used = 0  # lanes in them that held work
         self.seconds = 0.0  # of the wall clock spent in `compute`
+        self._counting = threading.Lock()
         self.answering_s = 0.0  # that, and the coroutines' own time between requests (`run_fleets`)
         self.warm: list[bool] = []  # shared by copies: whether its programs are compiled
         self._keys = jax.jit(jax.vmap(_key))
@@ -60,7 +64,8 @@ class PlannerService:
         try:
             return self._compute(requests)
         finally:
-            self.seconds += time.perf_counter() - start
+            with self._counting:
+                self.seconds += time.perf_counter() - start
 
     def _compute(self, requests: Sequence[Request]) -> list[Any]:
         results: list[Any] = [None] * len(requests)
@@ -97,9 +102,10 @@ class PlannerService:
         return self.planner.rolled(step.search, self._keys_of([step])[0])
 
     def _iterate(self, steps: Sequence[Step], checked: bool) -> list[Any]:
-        self.calls += 1
-        self.steps += len(steps)
-        self.lanes_used += len(steps)
+        with self._counting:
+            self.calls += 1
+            self.steps += len(steps)
+            self.lanes_used += len(steps)
         searches, keys = [step.search for step in steps], self._keys_of(steps)
         if not checked:
             return self.planner.step(searches, keys)

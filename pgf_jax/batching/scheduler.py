@@ -6,15 +6,17 @@ while len(scheduler):
     scheduler.run_batch()
 """
 
+import concurrent.futures
 import contextlib
 import functools
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from pgf_jax.batching.planner_service import PlannerService
-from pgf_jax.batching.requests import Coroutine, External, Memoised, Request, Step
+from pgf_jax.batching.requests import Coroutine, Execute, External, Memoised, Request, Step
 
 
 class _Running:
@@ -38,18 +40,28 @@ class _Memo:
 
 
 class BatchScheduler:
-    """Runs coroutines, and computes their requests in batches: first come, first served."""
+    """Runs coroutines, and computes their requests in batches: first come, first served.
 
-    def __init__(self, planner_service: PlannerService) -> None:
+    Args:
+      planner_service: computes them.
+      threads: calls of it at a time. With several, the coroutines go on here while calls are under
+        way. No result depends on it.
+    """
+
+    def __init__(self, planner_service: PlannerService, threads: int = 1) -> None:
         self._planner_service = planner_service
         self._steps: deque[Pending] = deque()
         self._others: list[Pending] = []
         self.seconds = 0.0  # of the wall clock spent in it, in the coroutines too
         self._timing = False
+        self._threads = threads
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._under_way: dict[Future[list[Any]], list[Pending]] = {}
 
     def __len__(self) -> int:
-        """Requests that wait to be computed."""
-        return len(self._steps) + len(self._others)
+        """Requests that wait to be computed, or are being computed."""
+        under_way = sum(len(batch) for batch in self._under_way.values())
+        return len(self._steps) + len(self._others) + under_way
 
     def submit(self, coroutine: Coroutine, on_result: Callable[[Any], None]) -> None:
         """Start a coroutine; `on_result` is called with its result, perhaps at once."""
@@ -65,16 +77,47 @@ class BatchScheduler:
         return results[0]
 
     def run_batch(self) -> None:
-        """Compute one call's worth of iterations, and all other requests that wait by then."""
+        """Compute one call's worth of iterations, and all other requests that wait by then.
+
+        With several threads: have every thread compute something, and wait for the first result.
+        """
         with self._timed():
+            if self._pool is not None:
+                self._start_calls(self._pool)
+                self._wait_for_one()
+                return
             self._compute(self.take_steps())
             while self._others:  # gains of the iterations just made, say
                 self._compute(self.take_others())
 
-    def take_steps(self) -> list[Pending]:
-        """Take one call's worth of iterations out of the queue, for `resolve`."""
-        lanes = self._planner_service.engine.lanes
-        return [self._steps.popleft() for _ in range(min(lanes, len(self._steps)))]
+    def _start_calls(self, pool: ThreadPoolExecutor) -> None:
+        while (free := self._threads - len(self._under_way)) and (self._others or self._steps):
+            batch = self._next_call(free)
+            asked = [request for *_, request in batch]
+            self._under_way[pool.submit(self._planner_service.compute, asked)] = batch
+
+    def _next_call(self, free: int) -> list[Pending]:
+        """What a thread computes next; `free` of them have nothing to do."""
+        executions = [pending for pending in self._others if isinstance(pending[-1], Execute)]
+        if len(executions) < len(self._others):
+            others, self._others = self._others, executions
+            return [pending for pending in others if not isinstance(pending[-1], Execute)]
+        if executions:  # before iterations, of which a call takes more when more robots wait
+            return [self._others.pop(0)]
+        share = -(-len(self._steps) // free)
+        return self.take_steps(share)
+
+    def _wait_for_one(self) -> None:
+        done, _ = concurrent.futures.wait(
+            self._under_way, return_when=concurrent.futures.FIRST_COMPLETED
+        )
+        for future in done:
+            self.resolve(self._under_way.pop(future), future.result())
+
+    def take_steps(self, most: int | None = None) -> list[Pending]:
+        """Take iterations out of the queue, for `resolve`: one call's worth, and at most `most`."""
+        count = min(self._planner_service.engine.lanes, len(self._steps))
+        return [self._steps.popleft() for _ in range(count if most is None else min(count, most))]
 
     def take_others(self) -> list[Pending]:
         """Take all requests that are no iterations out of the queue, for `resolve`."""

@@ -5,7 +5,7 @@ from typing import Any
 
 import jax
 
-from pgf_jax.jax_setup import AS_CALLER, as_caller, has_options
+from pgf_jax.jax_setup import AS_CALLER, as_caller, for_workers
 
 # Those that decide on numbers, or results would depend on which process computed them; and those of
 # the compilation cache.
@@ -23,7 +23,7 @@ _NAMES = (
 
 def jax_settings() -> dict[str, Any]:
     """The settings of this process."""
-    return {name: getattr(jax.config, name) for name in _NAMES} | {AS_CALLER: has_options()}
+    return {name: getattr(jax.config, name) for name in _NAMES} | {AS_CALLER: for_workers()}
 
 
 def adopt(settings: Mapping[str, Any]) -> None:

@@ -43,6 +43,9 @@ class LocalPool(Executor):
       count: of processes.
       grace_s: how long a process may go on after its parent's death, to store what it has; s.
       cores: numbers of the cores that they share out; None: all that this process may use.
+
+    Attributes:
+      cores_each: cores of each process, at least.
     """
 
     def __init__(
@@ -50,6 +53,7 @@ class LocalPool(Executor):
     ) -> None:
         self._count, self._grace_s = count, grace_s
         self._cores = usable() if cores is None else list(cores)
+        self.cores_each = max(1, len(self._cores) // count)
         self._threads = Threads(count, thread_name_prefix="worker")
         self._numbers = itertools.count()
         self._own = threading.local()  # of each thread: its number, and its process

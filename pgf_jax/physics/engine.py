@@ -140,9 +140,14 @@ def default_lanes(engine: str) -> int:
     return _LANES.get(engine, _OTHER_LANES)
 
 
+def calls_use_one_core(engine: str) -> bool:
+    """Whether a call of the engine computes on one core, so that several may run side by side."""
+    return engine == "planar"
+
+
 def default_processes(engine: str) -> int:
-    """Worker processes where no number is given: one a core for `planar`, whose calls use one."""
-    return len(cores.usable()) if engine == "planar" else 1
+    """Workers where no number is given: one a core, unless the engine's calls use all cores."""
+    return len(cores.usable()) if calls_use_one_core(engine) else 1
 
 
 def choice(engine: str, option: str, value: str, choices: Mapping[str, Any]) -> Any:

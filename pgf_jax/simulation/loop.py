@@ -30,6 +30,7 @@ def run_fleets(
     planner_service: PlannerService,
     *,
     at_once: int | None = None,
+    threads: int = 1,
     on_batch: Callable[[], None] | None = None,
 ) -> Iterator[PlannedFleet]:
     """Run fleets to their ends, with one queue for all their work; yields each when it is done.
@@ -42,11 +43,12 @@ def run_fleets(
       fleets: may be a generator: the next one is taken when another has ended.
       planner_service: of all their robots.
       at_once: how many fleets run at a time; None: all.
+      threads: calls of the planner service at a time.
       on_batch: called after each batch; what it raises ends the run.
     """
     waiting = iter(fleets)
     running: list[PlannedFleet] = []
-    scheduler = BatchScheduler(planner_service)
+    scheduler = BatchScheduler(planner_service, threads)
     while True:
         still_running: list[PlannedFleet] = []
         source = itertools.chain(running, waiting)

@@ -11,6 +11,7 @@ from pgf_jax.errors import BadInput, WorkersLost
 from pgf_jax.jax_setup import one_engine
 from pgf_jax.parallel.jax_settings import jax_settings
 from pgf_jax.parallel.local import WorkerDied
+from pgf_jax.physics.engine import calls_use_one_core
 from pgf_jax.provenance import kind
 from pgf_jax.sweeping import cell_file
 from pgf_jax.sweeping.resolve import CellSpec
@@ -27,6 +28,7 @@ from pgf_jax.sweeping.worker_entry import WorkerCall, compute
 
 POLL_S = 0.25
 ATTEMPTS = 3  # of which none finishes a cell: then it is the cells that kill the workers
+THREADS = 4  # of a process, at most: coroutines run in one thread, whatever their number
 TURNS = 4  # batches for each worker, where there are enough cells that share nothing
 
 
@@ -81,6 +83,24 @@ def dispatch(
         finally:
             end_session()
             opened.shutdown(wait=True, cancel_futures=True)
+
+
+def share_out(cells: Sequence[CellSpec], workers: int) -> tuple[int, int | None]:
+    """Share out so many workers' cores to processes.
+
+    Cells that share searches are computed in one process, on several cores where the engine's calls
+    use one each. Several processes would each do most of the searches again.
+
+    Returns:
+      How many processes; and the cores that each has, None: what there is.
+    """
+    most = min(workers, len(cells))
+    engine = one_engine(cell.fleet.engine for cell in cells)
+    if engine is None or not calls_use_one_core(engine):
+        return most, None
+    families = len(grouped(cells, lambda cell: cell.fleet.cache_key))
+    count = min(most, max(families, -(-workers // THREADS)))
+    return count, min(workers // count, THREADS)
 
 
 def partition(cells: Sequence[CellSpec], workers: int) -> list[list[CellSpec]]:
@@ -141,6 +161,7 @@ class _Dispatcher:
         self._executor, self._listener = executor, listener
         # Workers without cores of their own have to claim some.
         self._claim = getattr(executor, "claim", False)
+        self._cores = getattr(executor, "cores_each", 1)
         self._teller = _Teller(listener)
         self._pending: dict[Future[BatchResult], Batch] = {}
         self._stats: list[BatchStats] = []
@@ -163,7 +184,8 @@ class _Dispatcher:
     def _submit(self, batch: Batch) -> None:
         self._submitted += 1
         engine = one_engine(cell.fleet.engine for cell in batch.cells)
-        call = WorkerCall(pickle.dumps(batch), jax_settings(), engine, self._claim)
+        threads = self._cores if engine is not None and calls_use_one_core(engine) else 1
+        call = WorkerCall(pickle.dumps(batch), jax_settings(), engine, self._claim, threads)
         try:
             self._pending[self._executor.submit(compute, call)] = batch
         except RuntimeError as error:  # broken, or shut down

@@ -22,7 +22,7 @@ class BatchStats:
       wall_s: in all, compilation included, s.
       compile_s: time of the first call of each program, compilation included, s; 0 where the
         process has made one before.
-      engine_s: time spent in calls of the engine, the planner and the networks, s.
+      engine_s: time spent in calls of the engine, the planner and the networks, s; of all threads.
       answering_s: that, and the time of the coroutines between calls (an operator's candidates), s.
       iterations: that robots requested.
       steps: iterations computed, those of the operators' trials included; fewer where fleets share
@@ -60,7 +60,11 @@ class CellListener(Protocol):
 
 
 def run_cells(
-    cells: Sequence[CellSpec], listener: CellListener, *, stop: Callable[[], bool] = lambda: False
+    cells: Sequence[CellSpec],
+    listener: CellListener,
+    *,
+    threads: int = 1,
+    stop: Callable[[], bool] = lambda: False,
 ) -> BatchStats:
     """Compute cells in this process.
 
@@ -69,6 +73,7 @@ def run_cells(
     Args:
       cells: in any company: no cell's results depend on the others.
       listener: told after every batch of requests.
+      threads: calls of the engine at a time.
       stop: asked after every batch whether to give up.
 
     Raises:
@@ -76,12 +81,12 @@ def run_cells(
     """
     stats = BatchStats()
     for alike in grouped(cells, lambda cell: cell.fleet.compile_key):
-        stats += _run_alike(alike, listener, stop)
+        stats += _run_alike(alike, listener, threads, stop)
     return stats
 
 
 def _run_alike(
-    cells: Sequence[CellSpec], listener: CellListener, stop: Callable[[], bool]
+    cells: Sequence[CellSpec], listener: CellListener, threads: int, stop: Callable[[], bool]
 ) -> BatchStats:
     """Compute cells that run the same compiled programs."""
     start = time.perf_counter()
@@ -108,7 +113,7 @@ def _run_alike(
     iterations = 0
     # An iterator, which forgets them: fleets that have ended are freed.
     fleets = iter([*running.values()])
-    for fleet, robots, cell in run_fleets(fleets, service, on_batch=after_batch):
+    for fleet, robots, cell in run_fleets(fleets, service, threads=threads, on_batch=after_batch):
         tasks = tasks_frame(fleet.records, cell.fleet.scenes.name)
         listener.finished(cell, Content(tasks, events_frame(fleet.events), cell.about()))
         iterations += robots.iterations

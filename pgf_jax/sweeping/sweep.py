@@ -16,6 +16,7 @@ from pathlib import Path
 import polars as pl
 from rich.console import Console
 
+from pgf_jax.cores import usable
 from pgf_jax.errors import BadInput
 from pgf_jax.files import json_bytes, png, sha256, write_atomically
 from pgf_jax.fleet.config import Cell
@@ -30,7 +31,7 @@ from pgf_jax.simulation.recorded_operator import LIVE
 from pgf_jax.sweeping import cell_file, columns
 from pgf_jax.sweeping.cell_store import MANIFEST, RESULTS, RUN, CellStore
 from pgf_jax.sweeping.config import SweepConfig
-from pgf_jax.sweeping.dispatch import dispatch
+from pgf_jax.sweeping.dispatch import dispatch, share_out
 from pgf_jax.sweeping.figure6 import figure6
 from pgf_jax.sweeping.manifest import about, manifest, run_record
 from pgf_jax.sweeping.replay import replay_config, replay_difference
@@ -254,16 +255,17 @@ def _executor(
         for plugin in plugins:
             check_importable(plugin, "elsewhere")
         return functools.partial(open_cluster, configs[0].scheduler)
-    workers = min(workers, len(missing))
     if all(config.workers is None for config in configs):
         workers = min(workers, 1 + sum(cell.tasks for cell in missing) // TASKS_A_PROCESS)
         if any(is_interactive(plugin.module) for plugin in plugins):
             workers = 1
-    if workers <= 1:
+    count, each = share_out(missing, workers)
+    if count == 1 and (each is None or each == 1):
         return None
     for plugin in plugins:
         check_importable(plugin, "here")
-    return lambda: (LocalPool(workers), workers)
+    some = None if each is None else usable()[: count * each]
+    return lambda: (LocalPool(count, cores=some), count)
 
 
 def _write_results(store: CellStore) -> SweepResult:

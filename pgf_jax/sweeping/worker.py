@@ -77,13 +77,17 @@ class BatchResult(NamedTuple):
 
 
 def run_batch(
-    batch: Batch, on_progress: Callable[["BatchProgress"], None] | None = None
+    batch: Batch,
+    on_progress: Callable[["BatchProgress"], None] | None = None,
+    *,
+    threads: int = 1,
 ) -> BatchResult:
     """Compute a batch.
 
     Args:
       batch: the cells.
       on_progress: called with the progress, in place of a file in the folder.
+      threads: calls of the engine at a time.
 
     Raises:
       BadInput: something it was given cannot be used, or a cell cannot be written; or this machine
@@ -99,7 +103,7 @@ def run_batch(
     writer = CellWriter(batch, on_progress)
     # Some are finished where an executor sends a batch again by itself, after a worker's death.
     cells = [cell for cell in batch.cells if not batch.is_finished(cell)]
-    stats = run_cells(cells, writer, stop=writer.has_ended)
+    stats = run_cells(cells, writer, threads=threads, stop=writer.has_ended)
     return BatchResult(tuple(writer.returned), stats)
 
 

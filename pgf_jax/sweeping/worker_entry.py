@@ -26,12 +26,14 @@ class WorkerCall(NamedTuple):
       jax: settings of JAX, see `parallel.jax_settings`.
       engine: of its cells; None where they have several.
       claim: whether the worker has to find a core for itself.
+      threads: calls of the engine that the worker makes at a time.
     """
 
     batch: bytes
     jax: Mapping[str, Any]
     engine: str | None
     claim: bool
+    threads: int
 
 
 _one_at_a_time = threading.Lock()  # whatever the process's owner thinks it can do at once
@@ -47,14 +49,14 @@ def compute(call: WorkerCall) -> "BatchResult":
         if call.claim:
             cores.claim()
         as_caller(call.jax[AS_CALLER])
-        configure_early(call.engine)
+        configure_early(call.engine, call.threads)
         from pgf_jax.parallel.jax_settings import adopt
 
         adopt(call.jax)
         from pgf_jax.sweeping.worker import run_batch
 
         with _unsampled():
-            return run_batch(pickle.loads(call.batch))
+            return run_batch(pickle.loads(call.batch), threads=call.threads)
 
 
 @contextlib.contextmanager

@@ -1,13 +1,16 @@
 """The scheduler: who shares a call, and in which order; and memoised requests."""
 
+import functools
+import threading
 import types
 from typing import Any
 
+import pytest
 from coroutines import native
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pgf_jax.batching.requests import Memoised, Step
+from pgf_jax.batching.requests import Execute, Memoised, Step
 from pgf_jax.batching.scheduler import BatchScheduler
 
 
@@ -272,3 +275,70 @@ def test_memoised_against_making_everything_again(made, askers, lanes):
         for i, x in enumerate(items)
         if x == "step"
     )
+
+
+class Slow(Recorder):
+    """A planner service whose calls wait until so many are under way at a time."""
+
+    def __init__(self, lanes: int, together: int) -> None:
+        super().__init__(lanes)
+        self.barrier = threading.Barrier(together, timeout=30)
+
+    def compute(self, requests):
+        self.barrier.wait()
+        return super().compute(requests)
+
+
+def test_with_threads_calls_are_made_side_by_side():
+    """Both calls are under way at once, each with half of the iterations; or the barrier breaks."""
+    service = Slow(lanes=8, together=2)
+    scheduler, ended = BatchScheduler(service, 2), []  # pyright: ignore[reportArgumentType]
+    scheduler.submit(stepping("a", [6]), ended.append)
+    scheduler.run_batch()
+    assert len(scheduler) in (0, 3)  # whether the second has ended too
+    drain(scheduler)
+    assert sorted(len(call) for call in service.calls) == [3, 3]
+    assert [request.search for request in ended[0]] == [("a", 0, i) for i in range(6)]
+
+
+def test_with_threads_an_execution_has_a_thread_of_its_own():
+    service = Slow(lanes=8, together=2)
+    scheduler, ended = BatchScheduler(service, 2), []  # pyright: ignore[reportArgumentType]
+    execution = Execute("world", "command")  # pyright: ignore[reportArgumentType]
+
+    def both():
+        return (yield [execution, step("b"), step("b")])
+
+    scheduler.submit(both(), ended.append)
+    drain(scheduler)
+    assert sorted(len(call) for call in service.calls) == [1, 2]
+    assert ended == [[execution, step("b"), step("b")]]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    plans=st.lists(st.lists(st.integers(0, 4), max_size=4), max_size=6),
+    lanes=st.integers(1, 5),
+    threads=st.integers(2, 4),
+)
+def test_with_threads_everybody_hears_the_same(plans, lanes, threads):
+    heard = []
+    for count in (1, threads):
+        scheduler = BatchScheduler(Recorder(lanes), count)  # pyright: ignore[reportArgumentType]
+        results: dict[int, Any] = {}
+        for i, counts in enumerate(plans):
+            scheduler.submit(stepping(i, counts), functools.partial(results.__setitem__, i))
+        drain(scheduler)
+        heard.append([results[i] for i in range(len(plans))])
+    assert heard[0] == heard[1]
+
+
+def test_with_threads_what_a_call_raises_is_raised():
+    class Broken(Recorder):
+        def compute(self, requests):
+            raise RuntimeError("no such world")
+
+    scheduler = BatchScheduler(Broken(2), 2)  # pyright: ignore[reportArgumentType]
+    scheduler.submit(stepping("a", [1]), lambda heard: None)
+    with pytest.raises(RuntimeError, match="no such world"):
+        drain(scheduler)

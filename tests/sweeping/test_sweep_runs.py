@@ -36,7 +36,7 @@ from pgf_jax.sweeping import resolve as resolve_module
 from pgf_jax.sweeping import sweep as sweep_module
 from pgf_jax.sweeping.cell_store import only_writer
 from pgf_jax.sweeping.config import SweepConfig
-from pgf_jax.sweeping.dispatch import TURNS, partition
+from pgf_jax.sweeping.dispatch import THREADS, TURNS, partition, share_out
 from pgf_jax.sweeping.resolve import CellSpec, resolve, task_scenes
 from pgf_jax.sweeping.sweep import sweep
 from pgf_jax.tables import results
@@ -738,6 +738,28 @@ def test_cells_that_share_searches_share_a_process(tmp_path):
         assert names(partition(cells, workers)) == [one, two, three]
     # A fourth process would be idle: families are torn apart.
     assert names(partition(cells, 4)) == [two, ["2:a_R3"], ["0:a_R1"], three]
+
+
+def test_cores_go_to_processes_with_searches_of_their_own(tmp_path):
+    """One sweep is one process with all the cores, of which a process has `THREADS` at most."""
+    config = ghost(tmp_path)
+    cells = [cell_like(config, 0, policy, r, 10) for policy in "ab" for r in (1, 10, 30)]
+
+    def as_engine(name: str, cells: list[CellSpec]) -> list[CellSpec]:
+        fleets = [dataclasses.replace(cell.fleet, engine=name) for cell in cells]
+        pairs = zip(cells, fleets, strict=True)
+        return [dataclasses.replace(cell, fleet=fleet) for cell, fleet in pairs]
+
+    planar = as_engine("planar", cells)
+    assert THREADS == 4
+    shares = {workers: share_out(planar, workers) for workers in (1, 2, 4, 5, 8, 96)}
+    assert shares == {1: (1, 1), 2: (1, 2), 4: (1, 4), 5: (2, 2), 8: (2, 4), 96: (6, 4)}
+    other = as_engine("planar", [cell_like(ghost(tmp_path, seed=1), 1, "a", 1, 10)])
+    assert share_out(planar + other, 2) == (2, 1) and share_out(planar + other, 4) == (2, 2)
+    # Calls of other engines use all cores of their process already.
+    native = as_engine("native", cells)
+    assert share_out(native, 2) == (2, None) and share_out(native[:1], 2) == (1, None)
+    assert share_out(native + planar, 2) == (2, None)
 
 
 def test_a_worker_has_a_few_turns(tmp_path):

@@ -9,6 +9,7 @@ its own state alone, to the last bit, and is that of the full problem.
 """
 
 import functools
+import threading
 from typing import NamedTuple
 
 import jax
@@ -67,7 +68,7 @@ class PlanarEngine:
         self.iterations, self.cg_iterations = iterations, cg_iterations
         self._constants = constants.read(physics, n_objects)
         self._shape = motion.fit_shape(physics)
-        self._used, self._computed = 0, 0
+        self._used, self._computed, self._counting = 0, 0, threading.Lock()
         self._chunk = chunk
         if sizes is None:
             sizes = SIZES if lanes > FEW_LANES else FEW_SIZES
@@ -85,9 +86,10 @@ class PlanarEngine:
         controls, gripper = jnp.asarray(controls, jnp.float32), jnp.asarray(gripper, jnp.float32)
         rollout, work = self._jitted(start, controls, gripper, np.int32(substeps), wanted)
         used, *computed = np.asarray(work).tolist()  # of each class
-        self._used += used
-        self._computed += sum(computed)
-        self._substeps += substeps * np.array(computed)
+        with self._counting:  # several threads may call this
+            self._used += used
+            self._computed += sum(computed)
+            self._substeps += substeps * np.array(computed)
         return rollout
 
     def occupancy(self) -> tuple[int, int]:
