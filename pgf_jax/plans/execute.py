@@ -13,7 +13,6 @@ import numpy as np
 
 from pgf_jax import cores
 from pgf_jax.errors import BadInput
-from pgf_jax.physics.engine import World
 from pgf_jax.physics.worlds.config import world_error_of
 from pgf_jax.physics.worlds.world import Command, Executed, State, World3D
 from pgf_jax.plans.config import ExecuteConfig
@@ -34,8 +33,9 @@ class Execution:
       world: in which it was executed: solid or scene.
       repeat: number of the draw of the world's error, 0-based.
       grasped: the goal is within the hand at the end.
-      distance_m: of the goal from the end-effector point at the end, its bearing counted in, m.
-      tilt_deg: the largest tilt of an object at a knot's end, degrees.
+      distance_m: of the goal from the end-effector point at the end, its bearing counted in, m;
+        None: the simulation diverged.
+      tilt_deg: the largest tilt of an object at a knot's end, degrees; None: it diverged.
       shelf_touched: whether the robot touched the shelf at a knot's end.
     """
 
@@ -44,8 +44,8 @@ class Execution:
     world: str
     repeat: int
     grasped: bool
-    distance_m: float
-    tilt_deg: float
+    distance_m: float | None
+    tilt_deg: float | None
     shelf_touched: bool
 
 
@@ -74,7 +74,7 @@ def iter_executions(
     Yields:
       The number of a plan and one of its executions, in order.
     """
-    chosen = [_world_of(plan, config) for plan in plans]
+    chosen = [world_of(plan, config) for plan in plans]
     jobs = [(i, repeat) for i in range(len(plans)) for repeat in range(config.repeats)]
 
     def one(job: tuple[int, int]) -> tuple[int, Execution]:
@@ -92,7 +92,7 @@ def segments_executed(
     plan: Plan,
     world: World3D,
     state: State,
-    watch: Callable[[float, World], None] | None = None,
+    watch: Callable[[float, State], None] | None = None,
 ) -> Iterator[tuple[str, Executed]]:
     """Execute the segments of a plan in turn.
 
@@ -127,21 +127,26 @@ def segments_executed(
 
 def _execution(plan: Plan, worlds: TaskWorlds, world: str, repeat: int) -> Execution:
     done = [executed for _, executed in segments_executed(plan, worlds.acting, worlds.start())]
-    upright = min(executed.upright for executed in done)
+    upright = float(np.min([executed.upright for executed in done]))  # nan where one is
+    finite = math.isfinite(upright) and math.isfinite(done[-1].distance)
     return Execution(
         scene=plan.scene.name,
         claimed=str(plan.status),
         world=world,
         repeat=repeat,
         grasped=done[-1].grasped,
-        distance_m=done[-1].distance,
-        tilt_deg=math.degrees(math.acos(min(1.0, max(-1.0, upright)))),
+        distance_m=done[-1].distance if finite else None,
+        tilt_deg=math.degrees(math.acos(min(1.0, max(-1.0, upright)))) if finite else None,
         shelf_touched=any(executed.touched for executed in done),
     )
 
 
-def _world_of(plan: Plan, config: ExecuteConfig) -> tuple[WorldSpec, Scene]:
-    """The world of a plan, and its scene with the file that it is of, if that is needed."""
+def world_of(plan: Plan, config: ExecuteConfig) -> tuple[WorldSpec, Scene]:
+    """The world to execute a plan in, and its scene with the file that it is of, if needed.
+
+    Raises:
+      BadInput: the world `scene` is asked for, and there is no file of the plan's scene.
+    """
     checked_in = plan.settings.get("world")
     name = config.world or (checked_in if checked_in in ("solid", "scene") else "solid")
     error = world_error_of(config.world_error, name)

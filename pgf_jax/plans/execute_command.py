@@ -15,7 +15,12 @@ from pgf_jax.tables.parquet import write_table
 from pgf_jax.terminal import Progress, show_table
 
 TABLE = "executions.parquet"
-_TYPES = {str: pl.String(), int: pl.Int64(), bool: pl.Boolean(), float: pl.Float64()}
+_TYPES = {
+    str: pl.String(),
+    int: pl.Int64(),
+    bool: pl.Boolean(),
+    float | None: pl.Float64(),
+}
 EXECUTION_SCHEMA = {f.name: _TYPES[f.type] for f in dataclasses.fields(Execution)}  # pyright: ignore[reportArgumentType]
 
 
@@ -65,8 +70,8 @@ def _show(done: list[Execution], command: ExecuteCommand) -> None:
             one.claimed,
             one.world,
             "yes" if one.grasped else "no",
-            f"{1e3 * one.distance_m:.1f}",
-            f"{one.tilt_deg:.1f}",
+            "diverged" if one.distance_m is None else f"{1e3 * one.distance_m:.1f}",
+            "-" if one.tilt_deg is None else f"{one.tilt_deg:.1f}",
             "yes" if one.shelf_touched else "no",
         )
         for one in done

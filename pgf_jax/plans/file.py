@@ -29,6 +29,7 @@ from pgf_jax.simulation.planned_robots import Segment
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from pgf_jax.plans.config import ExecuteConfig
     from pgf_jax.plans.motion import Motion
 
 TERMS = ("c_d", "c_f", "c_b", "c_e", "c_s")
@@ -131,15 +132,20 @@ class Plan:
         """Whether the reach is feasible."""
         return self.status == Status.SOLVED
 
-    def motion(self) -> "Motion":
+    def motion(self, config: "ExecuteConfig | None" = None, repeat: int = 0) -> "Motion":
         """The execution of the plan, simulated once more: poses of hand and objects over time.
 
+        Args:
+          config: in which world, see `pgf_jax.execute`; None: in the solid world if the plan was
+            checked there, else by the plan's engine.
+          repeat: number of the execution, 0-based: of the draw of the world's error.
+
         Raises:
-          BadInput: the plan's engine or physics is unknown here, or it does not stay finite.
+          BadInput: the plan's engine, physics or world is unknown here, or it does not stay finite.
         """
         from pgf_jax.plans.motion import Motion
 
-        return Motion(self)
+        return Motion(self, config, repeat)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the plan: the shelf at first, the hand's paths, and where objects end.

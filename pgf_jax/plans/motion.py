@@ -11,10 +11,11 @@ from pgf_jax.physics import hand
 from pgf_jax.physics.config import Physics, physics_of
 from pgf_jax.physics.engine import Engine, World, make_engine
 from pgf_jax.physics.hand import RETREAT_M, RETREAT_S
-from pgf_jax.physics.worlds.solid import SolidWorld
+from pgf_jax.physics.worlds.world import State as WorldState
 from pgf_jax.planning.planner import start_world
 from pgf_jax.planning.types import Push
-from pgf_jax.plans.execute import segments_executed
+from pgf_jax.plans.config import ExecuteConfig
+from pgf_jax.plans.execute import segments_executed, world_of
 from pgf_jax.plans.file import Plan
 from pgf_jax.simulation.snapshot import RobotSnapshot, end_effector
 
@@ -22,16 +23,23 @@ from pgf_jax.simulation.snapshot import RobotSnapshot, end_effector
 # would lag behind the hand.
 _PARTS = 6
 
-_Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # times, objects, hand, gripper
+# Times, objects, hand, gripper, leaning.
+_Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+_STAND = np.empty((0, 4))  # how objects lean of which nothing is said
 
 
 class Motion:
     """The execution of a plan over time, from 0; planning takes no time here.
 
-    A plan that was checked in the solid world is executed there once more, bit for bit as it was
-    checked; any other is rolled out by its engine.
+    Without settings, a plan that was checked in the solid world is executed there once more, bit
+    for bit as it was checked; any other is rolled out by its engine.
 
     M is the number of times, N the number of objects.
+
+    Args:
+      plan: the plan.
+      config: executes it as `pgf_jax.execute` does with these settings.
+      repeat: number of the execution, 0-based: of the draw of the world's error.
 
     Attributes:
       plan: the plan.
@@ -40,40 +48,55 @@ class Motion:
       objects: [M, N, 2] centres x (into the shelf) and y (to the left), m.
       hand: [M, 3] poses of the hand's base: x, y (m) and yaw (rad).
       gripper: [M] 0 open .. 255 closed.
+      leaning: [M, N, 4] height of each centre, m, and direction of each object's axis; [M, 0, 4] in
+        an engine, in which all stand.
 
     Raises:
-      BadInput: the plan's engine or physics is unknown, or its simulation does not stay finite.
+      BadInput: the plan's engine or physics is unknown, its world cannot be had, or its simulation
+        does not stay finite.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, config: ExecuteConfig | None = None, repeat: int = 0) -> None:
         self.plan = plan
         self._knots: list[np.ndarray] = []  # of each segment, [T + 1, 3] hand poses
         self._pushes: list[Push | None] = []
         self._starts: list[float] = []  # of each segment, s
-        in_world = plan.settings.get("world") == "solid"
-        rows = self._executed(plan) if in_world else self._rolled_out(plan)
+        if config is None and plan.settings.get("world") == "solid":
+            config = ExecuteConfig()
+        rows = self._rolled_out(plan) if config is None else self._executed(plan, config, repeat)
         table = [np.concatenate(part) for part in zip(*rows, strict=True)]
-        self.times, self.objects, self.hand, self.gripper = table
+        self.times, self.objects, self.hand, self.gripper, self.leaning = table
         if not all(np.isfinite(part).all() for part in table):
             raise BadInput(
                 f"plan {plan.scene.name}: does not stay finite in engine {plan.engine}; "
                 "expected a plan that can be executed"
             )
 
-    def _executed(self, plan: Plan) -> list[_Rows]:
-        """Execute the plan in the solid world."""
-        world = SolidWorld(len(plan.scene.objects))
-        state = world.start(plan.scene)
-        rows = [_rows(np.zeros(1), world.seen(state))]
-        parts: list[tuple[float, World]] = []
+    def _executed(self, plan: Plan, config: ExecuteConfig, repeat: int) -> list[_Rows]:
+        """Execute the plan in a world in three dimensions."""
+        spec, scene = world_of(plan, config)
+        worlds = spec.worlds(scene, 0, repeat)
+        world, state = worlds.acting, worlds.start()
+        rows = [_rows(np.zeros(1), world.seen(state), world.leaning(state))]
+        parts: list[tuple[float, World, np.ndarray]] = []
+
+        def note(share: float, state: WorldState) -> None:
+            parts.append((share, world.seen(state), world.leaning(state)))
+
         segments = iter(plan.segments)
-        for kind, executed in segments_executed(plan, world, state, lambda *p: parts.append(p)):
+        for kind, executed in segments_executed(plan, world, state, note):
+            if not np.isfinite(executed.upright):
+                raise BadInput(
+                    f"plan {plan.scene.name}: diverges in the world; expected a plan that can be "
+                    "executed"
+                )
             before = rows[-1]
             begins = float(before[0][-1])
             seconds = RETREAT_S if kind == "retreat" else next(segments).duration_s
-            times = begins + seconds * np.array([share for share, _ in parts])
-            seen = [np.stack(part) for part in zip(*(world for _, world in parts), strict=True)]
-            rows.append((times, seen[0], seen[2], seen[3]))
+            shares, worlds_seen, leaning = zip(*parts, strict=True)
+            times = begins + seconds * np.array(shares)
+            seen = [np.stack(part) for part in zip(*worlds_seen, strict=True)]
+            rows.append((times, seen[0], seen[2], seen[3], np.stack(leaning)))
             parts.clear()
             if kind == "retreat":
                 continue
@@ -151,6 +174,7 @@ class Motion:
             waited_s=time_s - (0.0 if over else self._starts[segment]),
             done=(plan.status,) if over else (),
             origins=plan.scene.positions,
+            leaning=between(self.leaning),
         )
 
     def end_effector_paths(self) -> list[np.ndarray]:
@@ -183,8 +207,9 @@ def _physics(plan: Plan) -> Physics:
         raise BadInput(f"plan {plan.scene.name}: {error}") from None
 
 
-def _rows(times: np.ndarray, world: World) -> _Rows:
-    return times, world.objects[None], world.hand[None], np.array([world.gripper])
+def _rows(times: np.ndarray, world: World, leaning: np.ndarray = _STAND) -> _Rows:
+    gripper = np.array([world.gripper])
+    return times, world.objects[None], world.hand[None], gripper, leaning[None]
 
 
 def _roll(
@@ -212,7 +237,7 @@ def _roll(
     step = substeps // parts * engine.physics.substep_s
     times = begins_s + step * np.arange(1, len(fingers) + 1)
     after = World(objects[-1], velocities, poses[-1], np.float32(fingers[-1]))
-    return after, (times, objects, poses, fingers)
+    return after, (times, objects, poses, fingers, np.empty((len(times), *_STAND.shape)))
 
 
 def _retreat(engine: Engine, start: World, begins_s: float) -> tuple[World, _Rows]:

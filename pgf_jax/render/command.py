@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 
@@ -67,7 +66,7 @@ def _sweep_figure(config: RenderConfig) -> str:
 def _picture(config: RenderConfig) -> Draw:
     """The function that draws the picture."""
     if config.what == "plan":
-        motion = _motion(config.file)
+        motion = _motion(config)
         time_s = motion.duration_s if config.at is None else config.at
         if time_s > motion.duration_s:
             raise BadInput(
@@ -119,7 +118,7 @@ def _film(config: RenderConfig) -> tuple[Iterator[Draw], int | None]:
     """The functions that draw the frames, and the number of frames if it is known."""
     step_s = config.speed / config.fps
     if config.what == "plan":
-        motion = _motion(config.file)
+        motion = _motion(config)
         times = (step_s, config.start, config.stop)
         frames = map(_draw_plan, motion.film(*times))
         return frames, motion.frames(*times)
@@ -148,11 +147,14 @@ def _draw_plan(robot: RobotSnapshot) -> Draw:
     return lambda size, view: fleet_view.draw_one(robot, size, view, name=robot.scene)
 
 
-def _motion(path: Path):
+def _motion(config: RenderConfig):
+    from pgf_jax.plans.config import ExecuteConfig
     from pgf_jax.plans.file import load_plan
-    from pgf_jax.plans.motion import Motion
 
-    return Motion(load_plan(path))
+    executed = None
+    if config.world is not None or config.world_error:
+        executed = ExecuteConfig(config.world, config.world_error, scenes=config.scenes)
+    return load_plan(config.file).motion(executed, config.repeat)
 
 
 def _recorded(

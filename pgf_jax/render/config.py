@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional
 
 from pgf_jax.errors import BadInput
+from pgf_jax.physics.worlds.config import world_error_of
 from pgf_jax.settings import Bounds, Count, Index, Seconds, Seed, check_fields
 
 SUFFIXES = (".png", ".mp4")
@@ -31,6 +32,13 @@ class RenderConfig:
       seed: which fleet of a sweep: its seed; None: the only one there is.
       robot: number of the robot, from 0; with task only.
       task: number of its task, from 0; with task only.
+      world: execute the plan in this world: solid (a shelf in 3-D of our own) or scene (that of the
+        scene file); None: solid if it was checked there, else its engine; with plan only.
+      scenes: folder of the scene files (*.xml), for world scene; None: there is none.
+      world_error: how far that world is from the one in which the plan was checked, drawn once for
+        each repeat: default, or spreads as in friction=0.3 mass=0.3 position=0.005 (shares, and m);
+        the names are the fields of WorldError.
+      repeat: which draw of world_error, from 0.
       at: simulated time of the picture, s; None: the plan's end, or when an operator first serves.
       start: simulated time at which the film starts, s.
       stop: simulated time at which the film stops, s; None: the end.
@@ -55,10 +63,15 @@ class RenderConfig:
     policy: str | None = None
     robots: Count | None = None
     seed: Seed | None = None
+    world: Literal["solid", "scene"] | None = None
+    scenes: Path | None = None
+    world_error: tuple[str, ...] = ()
+    repeat: Index = 0
 
     GROUPS = (  # of options, for the help
         ("picture", ("out", "view", "size", "robot", "task", "at")),
         ("sweep", ("policy", "robots", "seed")),
+        ("plan", ("world", "scenes", "world_error", "repeat")),
         ("film", ("start", "stop", "speed", "fps")),
     )
 
@@ -73,6 +86,12 @@ class RenderConfig:
         for name in ("policy", "robots", "seed"):
             if self.what in ("plan", "sweep") and getattr(self, name) is not None:
                 raise BadInput(f"{name}: goes with task and fleet only, got {self.what}")
+        for name in ("world", "scenes", "world_error", "repeat"):
+            if self.what != "plan" and getattr(self, name):
+                raise BadInput(f"{name}: goes with plan only, got {self.what}")
+        world_error_of(self.world_error, self.world or "solid")
+        if self.repeat and not self.world_error:
+            raise BadInput(f"repeat: goes with world_error only, got {self.repeat} without")
         if len(self.size) != 2:
             raise BadInput(f"size: expected a width and a height, got {self.size}")
         self._check_times()

@@ -203,18 +203,22 @@ class _MovingGeoms:
             ends = (np.array(a, float), np.array(b, float))
             self._mujoco.mjv_connector(geom, shape.value, width, *ends)
 
-    def _cylinder(self, x, y, z, radius, half: float, color: str, alpha: float = 1.0) -> None:
-        self._geom(
-            self._type.mjGEOM_CYLINDER, (radius, radius, half), (x, y, z), color, alpha=alpha
-        )
+    def _cylinder(
+        self, x, y, z, radius, half: float, color: str, alpha: float = 1.0, turn=None
+    ) -> None:
+        # As in a model: `mjv_initGeom` makes the three sizes that are drawn of these two.
+        size = (radius, half, 0.0)
+        self._geom(self._type.mjGEOM_CYLINDER, size, (x, y, z), color, turn, alpha)
 
     def objects(self, robot: RobotSnapshot) -> None:
-        """Add the objects, as upright cylinders."""
+        """Add the objects as cylinders, upright where nothing says how they lean."""
         pushed = None if robot.push is None else robot.push.object
-        for i, (x, y) in enumerate(robot.objects):
+        standing = np.tile([HEIGHT / 2, 0.0, 0.0, 1.0], (len(robot.objects), 1))
+        leaning = robot.leaning if len(robot.leaning) else standing
+        for i, ((x, y), (z, *axis)) in enumerate(zip(robot.objects, leaning, strict=True)):
             color = CORRIDOR_OBJECT_COLOR if i == pushed else _OBJECT
             color = GOAL_COLOR if i == robot.goal else color
-            self._cylinder(x, y, HEIGHT / 2, RADIUS, HEIGHT / 2, color)
+            self._cylinder(x, y, z, RADIUS, HEIGHT / 2, color, turn=_along(np.array(axis)))
 
     def hand(self, robot: RobotSnapshot) -> None:
         """Add the hand's capsules, extruded, and a wrist and a forearm behind them."""
@@ -255,6 +259,14 @@ class _MovingGeoms:
         a, b = (float(start[0]), float(start[1]), z), (push.x, push.y, z)
         if math.dist(a, b) > 1e-3:
             self._connect(self._type.mjGEOM_ARROW, 0.006, a, b, PUSH_COLOR)
+
+
+def _along(axis: np.ndarray) -> np.ndarray:
+    """A rotation that turns the vertical into an axis (any length)."""
+    ahead = axis / np.linalg.norm(axis)
+    aside = np.cross(ahead, np.eye(3)[np.argmin(abs(ahead))])
+    aside /= np.linalg.norm(aside)
+    return np.stack([aside, np.cross(ahead, aside), ahead], axis=1)
 
 
 def _about_z(angle: float) -> np.ndarray:

@@ -61,6 +61,8 @@ class RobotSnapshot:
       origins: [N, 2] where the objects stood at first, m; empty where it is not shown.
       bids_at: for each ask, how many entries `costs` had then.
       grants_at: for each grant, likewise.
+      leaning: [N, 4] height of each object's centre, m, and direction of its axis; empty where all
+        stand.
       news: what has just happened between the robot and the operator, in words; empty if nothing.
     """
 
@@ -85,6 +87,7 @@ class RobotSnapshot:
     origins: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
     bids_at: tuple[int, ...] = ()
     grants_at: tuple[int, ...] = ()
+    leaning: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 4)))
     news: str = ""
 
     @property

@@ -19,6 +19,7 @@ from pgf_jax.plans.execute_command import EXECUTION_SCHEMA
 from pgf_jax.plans.file import load_plan, save_plan
 from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.scene import sample_scene
+from pgf_jax.simulation.planned_robots import Segment
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +134,31 @@ def test_wrong_arguments_are_one_line(folder, arguments, message, capsys):
     assert message in said and said.count("\n") == 1
 
 
+def strict_json(text: str):
+    """JSON as its standard has it: without NaN and Infinity."""
+
+    def refuse(word: str):
+        raise AssertionError(f"{word} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def test_a_plan_that_diverges_has_no_distance_and_no_tilt(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes what it warns of to a file where it runs
+    wild = np.tile([1e30, 0.0, 0.0], (8, 1))
+    one = short_plan(segments=(Segment("reach", 3.0, wild, np.zeros(8)),), pushes=0)
+    path = str(save_plan(tmp_path, one))
+    assert main(["execute", path, "--json", "--out", "out"]) == 0
+    (row,) = strict_json(capsys.readouterr().out)["executions"]
+    assert (row["distance_m"], row["tilt_deg"], row["grasped"]) == (None, None, False)
+    table = pl.read_parquet(tmp_path / "out" / "executions.parquet")
+    assert table["distance_m"].to_list() == table["tilt_deg"].to_list() == [None]
+    assert main(["execute", path]) == 0
+    assert "diverged" in capsys.readouterr().out
+    with pytest.raises(BadInput, match="plan short: diverges in the world"):
+        one.motion(ExecuteConfig())
+
+
 def test_it_is_public():
     assert pgf_jax.execute is execute
     with pytest.raises(BadInput, match="plan: expected a Plan"):
@@ -143,12 +169,13 @@ def test_the_motion_of_a_plan_is_that_very_execution(plans):
     """With somebody watching it is the same to the last bit, and ends where the world says."""
     one = next(p for p in plans if p.solved and p.pushes)
     world = SolidWorld(20)
-    seen = []
-    watched = list(
-        segments_executed(
-            one, world, world.start(one.scene), lambda share, what: seen.append((share, what))
-        )
-    )
+    seen, leans = [], []
+
+    def watch(share, state):
+        seen.append((share, world.seen(state)))
+        leans.append((share, world.leaning(state)))
+
+    watched = list(segments_executed(one, world, world.start(one.scene), watch))
     plain = list(segments_executed(one, world, world.start(one.scene)))
     for (kind, a), (other, b) in zip(watched, plain, strict=True):
         assert (kind == other and a.distance == b.distance) or np.isnan(a.distance)
@@ -161,6 +188,31 @@ def test_the_motion_of_a_plan_is_that_very_execution(plans):
     assert motion.duration_s == pytest.approx(3.0 * len(one.segments) + 1.0 * one.pushes)
     assert motion.at(2.0).push is not None and motion.at(motion.duration_s).push is None
     assert (np.diff(motion.times) > 0).all()
+    # Objects lean as the world has them at the same times, and are drawn so.
+    poses = np.array([state for _, state in leans])
+    assert motion.leaning.shape == (len(motion.times), 20, 4)
+    assert np.array_equal(motion.leaning[1:], poses)
+    assert np.allclose(motion.at(motion.duration_s).leaning, motion.leaning[-1], atol=1e-12)
+    assert np.allclose(np.linalg.norm(motion.leaning[..., 1:], axis=-1), 1)
+    assert 0 < np.degrees(np.arccos(motion.leaning[..., 3].min())) < 25
     # The hand's end-effector point is within reach of the goal where it ends.
     point = motion.end_effector_paths()[-1][-1]
     assert np.linalg.norm(point - motion.objects[-1][one.scene.goal]) < 0.06
+
+
+def test_a_motion_is_that_of_the_world_that_is_asked_for(plans):
+    one = next(p for p in plans if p.solved and not p.pushes)
+    config = ExecuteConfig(world_error=("default",), repeats=2)
+    runs = execute(one, config)
+    ends = []
+    for repeat, run in enumerate(runs):
+        motion = one.motion(config, repeat)
+        ends.append(motion.objects)
+        goal = motion.objects[-1][one.scene.goal]
+        away = np.linalg.norm(motion.end_effector_paths()[-1][-1] - goal)
+        assert away < run.distance_m + 1e-6  # which counts the bearing in
+    starts = np.array([objects[0] for objects in ends])
+    assert not np.array_equal(starts[0], starts[1])
+    engine = short_plan()
+    assert engine.motion().leaning.shape == (len(engine.motion().times), 0, 4)
+    assert engine.motion(ExecuteConfig()).leaning.shape[1:] == (3, 4)

@@ -67,6 +67,30 @@ def test_a_plan_is_drawn_at_its_end_and_when_asked(plan_file, tmp_path, capsys):
     assert (pictures[0] != pictures[1]).any()
 
 
+def test_a_plan_is_drawn_as_it_is_executed_in_a_world(plan_file, tmp_path, capsys):
+    ends = []
+    for words in ([], ["--world", "solid"], ["--world-error", "position=0.01"]):
+        out = tmp_path / f"{len(ends)}.png"
+        arguments = ["render", "plan", str(plan_file), "--size", "400", "300", "--out", str(out)]
+        assert main([*arguments, *words]) == 0
+        ends.append(np.array(Image.open(out)))
+    assert (ends[0] != ends[1]).any() and (ends[1] != ends[2]).any()
+    again = [*arguments, "--world-error", "position=0.01", "--repeat", "1"]
+    assert main(again) == 0
+    assert (np.array(Image.open(out)) != ends[2]).any()
+    capsys.readouterr()
+    for words, message in (
+        (["--world", "scene"], "expected --scenes with the folder of that"),
+        (["--repeat", "1"], "repeat: goes with world_error only, got 1"),
+        (["--world-error", "mass=2"], "mass"),
+    ):
+        assert main([*arguments, *words]) == 2
+        said = capsys.readouterr().err
+        assert message in said and said.count("\n") == 1
+    with pytest.raises(BadInput, match="world: goes with plan only, got fleet"):
+        RenderConfig("fleet", plan_file, out, world="solid")
+
+
 def test_a_plan_is_filmed(plan_file, tmp_path):
     pytest.importorskip("imageio_ffmpeg")
     out = tmp_path / "a.mp4"

@@ -48,6 +48,23 @@ def test_deeper_is_higher_up(view):
     assert rows[0] > rows[1] + 40
 
 
+def test_objects_lean_and_lie(view):
+    objects = np.array([[0.4, 0.3], [0.4, 0.0]])
+
+    def goal(z: float, *axis: float) -> np.ndarray:
+        leaning = np.array([[0.05, 0, 0, 1], [z, *axis]])
+        return green(view.shelf(robot(objects=objects, leaning=leaning), 320, 260))
+
+    standing = goal(0.05, 0, 0, 1)
+    assert np.array_equal(standing, green(view.shelf(robot(objects=objects), 320, 260)))
+    lying, leaning = goal(0.03, 0, 1, 0), goal(0.05, 0, 0.5, np.sqrt(0.75))
+    assert np.ptp(lying[:, 1]) > 1.4 * np.ptp(standing[:, 1])  # 0.10 m aside, 0.06 m across
+    # It leans to positive y, which is to the left: its top is there.
+    assert leaning[:10, 1].mean() < standing[:10, 1].mean() - 5
+    # Upside down it looks the same.
+    assert len(goal(0.05, 0, 0, -1)) == len(standing)
+
+
 def test_push_path_and_hand_are_drawn(view):
     plain = view.shelf(robot(), 320, 260)
     changes_each: list[dict[str, Any]] = [

@@ -25,6 +25,15 @@ from pgf_jax.scene.scene import Scene
 
 GRASP_M = 0.06  # a reach that ends nearer to the goal has grasped it, see `World3D._distance`
 _M_PER_RAD = 0.09  # of the goal's bearing from where the hand points
+# Warnings of a state with a number that is not finite, or larger than 1e10.
+_DIVERGED = tuple(
+    int(kind)
+    for kind in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+)
 _STANDS_ON = 0.7  # a contact whose normal is that steep is with what an object stands on
 
 
@@ -43,9 +52,9 @@ class Executed(NamedTuple):
         each pair of bodies as one, with the magnitude of the pair's whole force.
       state: at the end; None where it was not asked for.
       distance: of the goal from the end-effector point at the end, with its bearing counted in, m;
-        nan where the segment has no goal.
+        nan where the segment has no goal, or the simulation diverged.
       upright: the smallest cosine between an object's axis and the vertical at the knots' ends: 1
-        while all stand.
+        while all stand; nan where the simulation diverged.
       touched: whether the robot touched the shelf at a knot's end.
     """
 
@@ -140,14 +149,14 @@ class World3D(abc.ABC):
         """[3] pose of the hand: base x, y (m) and yaw (rad)."""
 
     def execute(
-        self, command: Command, watch: Callable[[float, World], None] | None = None
+        self, command: Command, watch: Callable[[float, State], None] | None = None
     ) -> Executed:
         """Execute a segment on a copy of the state in which it starts.
 
         Args:
           command: the segment.
-          watch: called from time to time with the share of the segment that is done, and what is
-            seen then (see `seen`); the execution does not depend on it.
+          watch: called from time to time with the share of the segment that is done, and the state,
+            which is that during the call only; the execution does not depend on it.
         """
         state, n, t = command.state, self.n_objects, len(command.controls)
         data = self._copy(state.data)
@@ -160,7 +169,7 @@ class World3D(abc.ABC):
             def note(share: float, k: int = k, before: float = before, now: float = now) -> None:
                 assert watch is not None
                 gripper = before + (now - before) * share
-                watch((k + share) / t, self.seen(State(data, gripper)))
+                watch((k + share) / t, State(data, gripper))
 
             knot_s = command.seconds / t
             noted = None if watch is None else note
@@ -173,6 +182,8 @@ class World3D(abc.ABC):
         rollout = Rollout(objects, hands, velocities, force, bodies)
         end = State(data, before) if command.keep else None
         distance = np.nan if command.goal is None else self._distance(data, command.goal)
+        if any(data.warning[kind].number for kind in _DIVERGED):
+            distance = upright = np.nan
         return Executed(rollout, end, distance, upright, touched)
 
     def retreat(self, state: State) -> Command:
@@ -194,6 +205,11 @@ class World3D(abc.ABC):
             state.gripper,
         )
         return World(*(np.array(value, np.float32) for value in values))
+
+    def leaning(self, state: State) -> np.ndarray:
+        """How objects stand or lie: [N, 4] height of each centre, m, and direction of its axis."""
+        heights, axes = state.data.xpos[self._objects, 2:], state.data.xmat[self._objects, 2::3]
+        return np.concatenate([heights, axes], axis=1)
 
     def _pointing(self, data: Any) -> tuple[np.ndarray, np.ndarray]:
         """[2] end-effector point, m, and [2] direction in which the hand points."""
