@@ -123,7 +123,8 @@ class SolidWorld(World3D):
         # How fast the hand slips stays as it is, along the base's new axes.
         slipping = data.qvel[_SLIP][:2] + turning * np.array([-1, 1]) * data.qpos[_SLIP][1::-1]
         c, s = np.cos(there[2] - yaw), np.sin(there[2] - yaw)
-        data.qvel[_SLIP][:2] = np.array([[c, s], [-s, c]]) @ slipping
+        x, y = slipping
+        data.qvel[_SLIP][:2] = c * x + s * y, c * y - s * x
         data.qpos[_BASE], data.qpos[_SLIP] = there, 0.0
 
     def _hand(self, data: Any) -> np.ndarray:

@@ -25,15 +25,10 @@ from pgf_jax.physics import hand
 from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, HEIGHT, RADIUS, SIDE_WALL_Y
 
 ARMATURE = 1e6  # of driven joints, kg or kg m^2: 100 N change a velocity by 4e-5 m/s within a knot
-# The solver measures its progress against the mean inertia, of which the armature is most.
-TOLERANCE = 1e-8 / ARMATURE
-
-# MuJoCo has a cylinder stand on three points of its edge, which jump about as it rocks: the nearest
-# side of their triangle is 15 mm from the middle, where sliding at a friction of 0.5 shifts the
-# load by 25 mm. So it slides up to 30 % too short, by the direction, or falls. The nearest side of
-# eight feet is 26.8 mm from the middle. Softer feet rock, too: at an impedance of 0.95 ways are 5 %
-# short.
-FEET, FOOT_M, FOOT_IMPEDANCE = 8, 0.001, 0.99
+# A hundredth of MuJoCo's: the solver measures its progress against the mean inertia, of which the
+# armature is most. With a smaller tolerance still, objects end as far from where smaller steps have
+# them, and a step takes a tenth longer.
+TOLERANCE = 1e-10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +45,9 @@ class Solid:
         spheres of an object are at its upper and lower end.
       stall_n, stall_nm: force and torque at which the drive slips, N, N m.
       hand_kg: of the hand, which moves when the drive slips.
+      feet: of an object.
+      foot_m: radius of a foot, m.
+      foot_impedance: of its contact: how much of an acceleration it takes up at once.
     """
 
     step_s: float = 0.00375
@@ -63,6 +61,14 @@ class Solid:
     stall_n: float = 150.0
     stall_nm: float = 20.0
     hand_kg: float = 10.0
+    # MuJoCo has a cylinder stand on three points of its edge, which jump about as it rocks: the
+    # nearest side of their triangle is 15 mm from the middle, where sliding at a friction of 0.5
+    # shifts the load by 25 mm. So it slides up to 30 % too short, by the direction, or falls. The
+    # nearest side of eight feet is 26.8 mm from the middle. Softer feet rock, too: at an impedance
+    # of 0.95 ways are 5 % short.
+    feet: int = 8
+    foot_m: float = 0.001
+    foot_impedance: float = 0.99
 
 
 def mjcf(solid: Solid, n_objects: int) -> str:
@@ -71,7 +77,7 @@ def mjcf(solid: Solid, n_objects: int) -> str:
     depth, thick = (BACK_WALL_X - FRONT_X) / 2, 0.05
     drive = 'solreffriction="0.0075 1" solimpfriction="0.999 0.999"'
     shape = (
-        f'<freejoint/><geom class="cylinder"/>{_feet()}'
+        f'<freejoint/><geom class="cylinder"/>{_feet(solid)}'
         f'<geom class="side" contype="3" pos="0 0 {solid.reach_m}"/>'
         f'<geom class="side" pos="0 0 {-solid.reach_m}"/>'
     )
@@ -93,8 +99,9 @@ def mjcf(solid: Solid, n_objects: int) -> str:
             conaffinity="0"/>
     </default>
     <default class="foot">
-      <geom type="sphere" size="{FOOT_M}" contype="1" conaffinity="0" priority="2"
-            friction="{solid.table_friction}" solimp="{FOOT_IMPEDANCE} {FOOT_IMPEDANCE}"/>
+      <geom type="sphere" size="{solid.foot_m}" contype="1" conaffinity="0" priority="2"
+            friction="{solid.table_friction}"
+            solimp="{solid.foot_impedance} {solid.foot_impedance}"/>
     </default>
     <default class="side">
       <geom type="sphere" size="{RADIUS}" contype="2" conaffinity="2"
@@ -135,10 +142,10 @@ def mjcf(solid: Solid, n_objects: int) -> str:
 </mujoco>"""
 
 
-def _feet() -> str:
+def _feet(solid: Solid) -> str:
     """The feet of an object, inside of its cylinder."""
-    turns = 2 * np.pi * np.arange(FEET) / FEET
-    out, down = RADIUS - FOOT_M, FOOT_M - HEIGHT / 2
+    turns = 2 * np.pi * np.arange(solid.feet) / solid.feet
+    out, down = RADIUS - solid.foot_m, solid.foot_m - HEIGHT / 2
     return "".join(
         f'<geom class="foot" pos="{out * np.cos(turn)} {out * np.sin(turn)} {down}"/>'
         for turn in turns
