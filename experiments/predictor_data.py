@@ -20,18 +20,20 @@ from pgf_jax.training import train as training
 from pgf_jax.training.rows import PUBLISHED, Rows, autonomous_rows, human_rows
 
 # (folder, mode, scenes at full scale, seed of the first scene, further options)
-# Scenes are of the three classes in turn; for comparison, also of `tight` alone, the class nearest
-# to the paper's scenes. One human run in five lasts until its input comes: 1,500 of the 7,500, as
-# in the paper.
+# Scenes are of the three classes in turn. One human run in five lasts until its input comes: 1,500
+# of the 7,500, as in the paper.
 COLLECTIONS = (
     ("train", "autonomous", 4000, 0, ()),
     ("train", "human", 7500, 0, ()),
     ("train", "forks", 12000, 100_000, ("--keys", "4")),
-    ("train_tight", "autonomous", 4000, 0, ("--classes", "tight")),
-    ("train_tight", "human", 9600, 0, ("--classes", "tight")),
     ("test", "autonomous", 1500, 1_000_000, ()),
     ("test", "human", 1500, 1_000_000, ()),
     ("test", "forks", 1500, 1_000_000, ("--keys", "16")),
+)
+# For comparison: of `tight` alone, the class nearest to the paper's scenes.
+TIGHT = (
+    ("train_tight", "autonomous", 4000, 0, ("--classes", "tight")),
+    ("train_tight", "human", 9600, 0, ("--classes", "tight")),
 )
 
 
@@ -41,7 +43,7 @@ class Data:
 
     train: dict[str, Rows]  # by network
     published: dict[str, Rows]  # phi_auto and phi_human, by the published code's rule
-    tight: dict[str, Rows]  # the same two, of tight scenes alone
+    tight: dict[str, Rows]  # the same two, of tight scenes alone; empty if not asked for
     test: dict[str, Rows]  # phi_auto and phi_human
     test_class: dict[str, np.ndarray]  # scene class of each row of `test`
     forks: Forks  # held out
@@ -50,9 +52,14 @@ class Data:
     collected: list[dict[str, Any]]  # content of each collection
 
 
-def collect(folder: Path, scale: float) -> None:
+def collections(tight: bool) -> tuple:
+    """What is collected; with `tight`, also of that class alone."""
+    return COLLECTIONS + TIGHT if tight else COLLECTIONS
+
+
+def collect(folder: Path, scale: float, tight: bool) -> None:
     """Collect the missing data; `scale` multiplies the numbers of scenes."""
-    for part, mode, scenes, seed, options in COLLECTIONS:
+    for part, mode, scenes, seed, options in collections(tight):
         number = max(30, round(scenes * scale))
         command = ["collect", mode, "--scenes", str(number), "--seed", str(seed), *options]
         command += ["--out", str(folder / part), "--resume"]
@@ -60,7 +67,7 @@ def collect(folder: Path, scale: float) -> None:
         subprocess.run([sys.executable, "-m", "pgf_jax", *command], check=True)
 
 
-def load(folder: Path) -> Data:
+def load(folder: Path, with_tight: bool) -> Data:
     """Read the collected data."""
     train, sha256, runs = {}, {}, {}
     for network, recipe in training.RECIPES.items():
@@ -73,13 +80,14 @@ def load(folder: Path) -> Data:
     published, tight, test, classes = {}, {}, {}, {}
     for network, (mode, make) in makers.items():
         published[network] = make(read_runs(runs_path(folder / "train", mode)), PUBLISHED)
-        tight[network] = make(read_runs(runs_path(folder / "train_tight", mode)))
+        if with_tight:
+            tight[network] = make(read_runs(runs_path(folder / "train_tight", mode)))
         frame = read_runs(runs_path(folder / "test", mode))
         test[network] = make(frame)
         of_scene = dict(frame.select("scene", "class").unique().iter_rows())
         classes[network] = np.array([of_scene[scene] for scene in test[network].scene])
     forks = forks_of(read_forks(runs_path(folder / "test", Mode.FORKS)))
-    collected = [_content(folder / part, Mode(mode)) for part, mode, *_ in COLLECTIONS]
+    collected = [_content(folder / part, Mode(mode)) for part, mode, *_ in collections(with_tight)]
     return Data(train, published, tight, test, classes, forks, sha256, runs, collected)
 
 

@@ -1,6 +1,6 @@
 """Makes the checkpoints: collects data, trains, judges on held-out data, and writes all files.
 
-    python experiments/train_predictors.py [--scale 0.1] [--out DIR]
+    python experiments/train_predictors.py [--scale 0.1] [--out DIR] [--tight]
 
 Data that are already in `--data` are kept, and an interrupted collection is continued. The commands
 that collect are printed, and can be given by hand. Training data and held-out data have different
@@ -25,6 +25,7 @@ from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.files import write_atomically
 from pgf_jax.guidance.predictors import checkpoint as ckpt
 from pgf_jax.guidance.predictors.network import CostDifference, FailureClassifier, GainNetwork
+from pgf_jax.guidance.predictors.registry import predictor_spec
 from pgf_jax.tables.runs import runs_path
 from pgf_jax.training import train as training
 from pgf_jax.training.config import TrainConfig
@@ -42,6 +43,7 @@ class Config:
     scale: float = 1.0  # of the numbers of scenes
     data: Path = Path("data/predictors")  # of collected data, with a folder for each scale
     out: Path = Path("checkpoints")
+    tight: bool = False  # also train the paper's pair on tight scenes alone, for comparison
 
 
 def published_fit(network: str, rows: Rows, seed: int) -> Trained:
@@ -66,7 +68,7 @@ def train(data: Data) -> tuple[dict[str, list[Trained]], dict[str, list[GainPred
 
     networks = {network: all_seeds(network, rows) for network, rows in data.train.items()}
     last = {name: all_seeds(name, data.train[name].only(LAST_ONLY)) for name in ckpt.PAIR}
-    for name in ckpt.PAIR:
+    for name in data.tight:
         networks[f"{name}, tight alone"] = all_seeds(name, data.tight[name])
     published = {
         name: [published_fit(name, data.published[name], seed) for seed in range(SEEDS)]
@@ -79,12 +81,16 @@ def train(data: Data) -> tuple[dict[str, list[Trained]], dict[str, list[GainPred
 
     predictors: dict[str, list[GainPredictor]] = {
         "paper": pairs(networks),
-        "paper, tight alone": pairs(networks, ", tight alone"),
         "paper, P = 1": pairs(last),
         "paper, published rows": pairs(published),
         "classifier": [FailureClassifier(done.predictor) for done in networks["failure"]],
         "best": [GainNetwork(done.predictor) for done in networks["gain"]],
+        # Those of the time before solutions were checked in a world.
+        "first": [predictor_spec("first").load()[0]] * SEEDS,
+        "first-best": [predictor_spec("first-best").load()[0]] * SEEDS,
     }
+    if data.tight:
+        predictors["paper, tight alone"] = pairs(networks, ", tight alone")
     return networks, predictors
 
 
@@ -111,11 +117,11 @@ def save_ablations(data: Data, folder: Path) -> None:
     """Write the pairs of networks that do not ship, for sweeps with `--predictor FOLDER`."""
     for network in ckpt.PAIR:
         published = published_fit(network, data.published[network], 0)
-        tight = training.fit_network(network, data.tight[network], TrainConfig(seed=0))
-        for name, part, done, rows in (
-            ("published", "train", published, data.published[network]),
-            ("tight_alone", "train_tight", tight, data.tight[network]),
-        ):
+        pairs = [("published", "train", published, data.published[network])]
+        if data.tight:
+            tight = training.fit_network(network, data.tight[network], TrainConfig(seed=0))
+            pairs.append(("tight_alone", "train_tight", tight, data.tight[network]))
+        for name, part, done, rows in pairs:
             runs = runs_path(folder / part, training.RECIPES[network].mode).read_bytes()
             about = training.report_of(done, rows)
             about |= {"data_sha256": hashlib.sha256(runs).hexdigest()}
@@ -128,9 +134,9 @@ def main(config: Config) -> None:
     console = Console()
     begun = time.perf_counter()
     folder = config.data / f"scale_{config.scale:g}"
-    collect(folder, config.scale)
+    collect(folder, config.scale, config.tight)
     collected_s = time.perf_counter() - begun
-    data = load(folder)
+    data = load(folder, config.tight)
     networks, predictors = train(data)
     trained_s = time.perf_counter() - begun - collected_s
     files = save(data, networks, config)

@@ -71,7 +71,8 @@ class ConsoleConfig:
         with C cores).
       horizon: simulated time at which a fleet stops, s; None: when its tasks are done.
       predictor: what predicts the gain of input (the cost that it saves): paper or best, as
-        shipped; a folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
+        shipped; first or first-best, those that shipped before solutions were checked in a world; a
+        folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
       scene_class: class of the sampled scenes: tight, medium, wide, or all (the three in turn);
         None: tight.
       scenes: scenes from which the tasks are drawn: a folder of scene files (*.xml), or a file of

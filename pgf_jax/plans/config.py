@@ -63,7 +63,8 @@ class PlanConfig:
         engine is believed).
       lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
       predictor: what predicts the gain of input (the cost that it saves): paper or best, as
-        shipped; a folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
+        shipped; first or first-best, those that shipped before solutions were checked in a world; a
+        folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
       service_mean: mean of a simulated operator's log-normal service time, s.
       service_sd: standard deviation of a simulated operator's service time, s; 0 makes it constant.
       window: time for which bids are collected before the highest is served, s (T_window of Alg.

@@ -141,10 +141,11 @@ class SweepConfig:
       compute: dedicated (each robot has its own computer), or shared:C (all robots share a computer
         with C cores).
       predictor: what predicts the gain of input (the cost that it saves): paper or best, as
-        shipped; a folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
+        shipped; first or first-best, those that shipped before solutions were checked in a world; a
+        folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
       horizon: simulated time at which a fleet stops, s; None: when its tasks are done.
-      workers: processes that share the work, each on cores of its own; results do not depend on how
-        many. None: one a core for planar, else 1.
+      workers: cores of this computer that share the work with planar, processes with other engines;
+        results do not depend on how many. None: all cores for planar, else 1.
       world: in which world solutions are checked before a robot executes them, and pushes are
         executed: solid (a shelf in 3-D of our own), scene (that of the scene file), none (the
         engine is believed).

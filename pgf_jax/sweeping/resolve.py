@@ -219,7 +219,7 @@ def _predictors(
     if config.predictor != "paper" or config.needs_gains() or _shipped():
         predictor, files = load(spec)
     if "classifier" in {cell.policy for cell in config.cells()}:
-        classifier, more = load(PredictorSpec("classifier", spec.folder))
+        classifier, more = load(PredictorSpec("classifier", spec.folder, spec.part))
         files = files | more
     return predictor, classifier, files
 

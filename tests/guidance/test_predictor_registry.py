@@ -35,6 +35,9 @@ def write(folder: Path, seed: int = 0) -> Path:
     [
         ("paper", PredictorSpec("paper")),
         ("best", PredictorSpec("best")),
+        ("first", PredictorSpec("paper", part="first")),
+        ("first-best", PredictorSpec("best", part="first")),
+        ("first:folder", PredictorSpec("paper", Path("first:folder"))),
         ("some/folder", PredictorSpec("paper", Path("some/folder"))),
         ("paper:some/folder", PredictorSpec("paper", Path("some/folder"))),
         ("best:some/folder", PredictorSpec("best", Path("some/folder"))),

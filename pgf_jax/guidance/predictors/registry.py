@@ -20,7 +20,14 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
     "best": ("gain",),
     "classifier": ("failure",),  # for the policy of that name: a probability, not a gain
 }
-PREDICTORS = ("paper", "best")
+# Names of shipped predictors: which one, and the folder of its checkpoints in theirs.
+_SHIPPED = {
+    "paper": ("paper", ""),
+    "best": ("best", ""),
+    "first": ("paper", "first"),
+    "first-best": ("best", "first"),
+}
+PREDICTORS = tuple(_SHIPPED)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,14 +37,20 @@ class PredictorSpec:
     Attributes:
       name: one of `NETWORKS`.
       folder: the folder of its checkpoints; None: the shipped ones.
+      part: of the shipped ones: the folder in theirs; first: those that shipped before solutions
+        were checked in a world.
     """
 
     name: str = "paper"
     folder: Path | None = None
+    part: str = ""
 
     def files(self) -> Traversable:
         """The folder of the checkpoints."""
-        return shipped_checkpoints() if self.folder is None else self.folder
+        if self.folder is not None:
+            return self.folder
+        shipped = shipped_checkpoints()
+        return shipped / self.part if self.part else shipped
 
     def load(self) -> tuple[GainPredictor, tuple[Checkpoint, ...]]:
         """Load the predictor; returns it and the checkpoints that it is made of.
@@ -56,15 +69,17 @@ class PredictorSpec:
 
 
 def predictor_spec(text: str) -> PredictorSpec:
-    """Parse `--predictor TEXT`: `paper`, `best`, `paper:FOLDER`, `best:FOLDER` or `FOLDER`.
+    """Parse `--predictor TEXT`: a shipped one's name, `paper:FOLDER`, `best:FOLDER` or `FOLDER`.
 
     A folder alone stands for the paper's pair of networks in it.
     """
-    if text in PREDICTORS:
-        return PredictorSpec(text)
+    if text in _SHIPPED:
+        name, part = _SHIPPED[text]
+        return PredictorSpec(name, part=part)
     name, colon, folder = text.partition(":")
-    if not text or (colon and name in PREDICTORS and not folder):
+    own = colon and name in _MAKE and name in PREDICTORS
+    if not text or (own and not folder):
         raise BadInput(f"predictor: expected {', '.join(PREDICTORS)} or a folder, got {text!r}")
-    if colon and name in PREDICTORS:
+    if own:
         return PredictorSpec(name, Path(folder))
     return PredictorSpec("paper", Path(text))

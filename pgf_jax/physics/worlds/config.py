@@ -31,13 +31,18 @@ class WorldError:
 def stored_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings as they were stored, in today's words.
 
-    Where they lack a world they are of a time when there was none, and `physics` default was what
-    is called authors today.
+    Where they lack a world they are of a time when there was none: `physics` default was what is
+    called authors today, and the shipped predictors were those that are called first.
     """
     if "world" in settings:
         return dict(settings)
-    old = settings.get("physics", "default") == "default"
-    return {**settings, "world": "none"} | ({"physics": "authors"} if old else {})
+    today = {**settings, "world": "none"}
+    if settings.get("physics", "default") == "default":
+        today["physics"] = "authors"
+    if "predictor" in settings:
+        names = {"paper": "first", "best": "first-best"}
+        today["predictor"] = names.get(settings["predictor"], settings["predictor"])
+    return today
 
 
 def world_error_of(texts: Sequence[str], world: str) -> WorldError | None:
