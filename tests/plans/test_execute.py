@@ -51,7 +51,8 @@ def test_what_was_checked_grasps_and_bit_for_bit_from_the_file(plans, folder):
     rows = json.loads(fresh.stdout)["executions"]
     for one, row in zip(solved, rows, strict=True):
         (here,) = execute(one)
-        assert here.grasped and row["grasped"] and here.distance_m < 0.06
+        assert here.distance_m is not None and here.distance_m < 0.06
+        assert here.grasped and row["grasped"]
         assert row["distance_m"].hex() == here.distance_m.hex()
         assert row["world"] == "solid" and 0 <= row["tilt_deg"] < 20
 
@@ -210,6 +211,7 @@ def test_a_motion_is_that_of_the_world_that_is_asked_for(plans):
         ends.append(motion.objects)
         goal = motion.objects[-1][one.scene.goal]
         away = np.linalg.norm(motion.end_effector_paths()[-1][-1] - goal)
+        assert run.distance_m is not None
         assert away < run.distance_m + 1e-6  # which counts the bearing in
     starts = np.array([objects[0] for objects in ends])
     assert not np.array_equal(starts[0], starts[1])
