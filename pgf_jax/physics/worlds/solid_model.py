@@ -25,10 +25,8 @@ from pgf_jax.physics import hand
 from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, HEIGHT, RADIUS, SIDE_WALL_Y
 
 ARMATURE = 1e6  # of driven joints, kg or kg m^2: 100 N change a velocity by 4e-5 m/s within a knot
-# A hundredth of MuJoCo's: the solver measures its progress against the mean inertia, of which the
-# armature is most. With a smaller tolerance still, objects end as far from where smaller steps have
-# them, and a step takes a tenth longer.
-TOLERANCE = 1e-10
+# The solver measures its progress against the mean inertia, of which the armature is most.
+TOLERANCE = 1e-8 / ARMATURE
 
 
 @dataclasses.dataclass(frozen=True)
