@@ -22,7 +22,7 @@ from study_runs import RAW, Run, compute, script, stored
 
 from pgf_jax import SweepConfig
 
-# Pairs of networks that do not ship; `train_predictors.py` writes them.
+# Pairs of networks that do not ship; `train_predictors.py --tight` writes them.
 ABLATIONS = Path("data/predictors/scale_1")
 SIZES = (1, 10, 20, 30)
 ASKING = ("pgf", "or-hitl", "or-hitl-window")

@@ -275,3 +275,20 @@ def named_values(name: str, texts: Sequence[str], defaults: Mapping[str, Any]) -
             raise BadInput(f"{name}: expected {key}={form} once, got {short_repr(text)}")
         values[key] = tuple(numbers) if pair else numbers[0]
     return values
+
+
+def stored_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings as they were stored, in today's words.
+
+    Where they lack a world they are of a time when there was none: `physics` default was what is
+    called authors today, and the shipped predictors were those that are called first.
+    """
+    if "world" in settings:
+        return dict(settings)
+    today = {**settings, "world": "none"}
+    if settings.get("physics", "default") == "default":
+        today["physics"] = "authors"
+    if "predictor" in settings:
+        names = {"paper": "first", "best": "first-best"}
+        today["predictor"] = names.get(settings["predictor"], settings["predictor"])
+    return today

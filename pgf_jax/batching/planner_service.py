@@ -42,8 +42,8 @@ class PlannerService:
         self.calls = 0  # iteration calls made
         self.lanes_used = 0  # lanes in them that held work
         self.seconds = 0.0  # of the wall clock spent in `compute`
-        self._counting = threading.Lock()
         self.answering_s = 0.0  # that, and the coroutines' own time between requests (`run_fleets`)
+        self._counting = threading.Lock()
         self.warm: list[bool] = []  # shared by copies: whether its programs are compiled
         self._keys = jax.jit(jax.vmap(_key))
 

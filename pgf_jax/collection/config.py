@@ -79,8 +79,8 @@ class CollectConfig:
       ask_to: the last of these reach iterations.
       keys: forks: number of futures of each state, each under noise of its own, with input and
         without.
-      workers: processes that share the work, each on cores of its own; results do not depend on how
-        many. None: one a core for planar, else 1.
+      workers: cores of this computer that share the work with planar, processes with other engines;
+        results do not depend on how many. None: all cores for planar, else 1.
       chunk: finished runs are written this many at a time: as many can be lost by an interruption.
       resume: go on with what is in the folder: finished runs are kept, the others are planned.
     """

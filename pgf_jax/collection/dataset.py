@@ -18,9 +18,9 @@ from pgf_jax.collection.config import CollectConfig
 from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, json_bytes, parse_json, read_file, write_atomically
 from pgf_jax.guidance.operators.registry import world_plugins
-from pgf_jax.physics.worlds.config import stored_settings
 from pgf_jax.plugins.registry import plugins_record
 from pgf_jax.provenance import environment
+from pgf_jax.settings import stored_settings
 from pgf_jax.tables.forks import read_forks, write_forks
 from pgf_jax.tables.parquet import read_provenance
 from pgf_jax.tables.runs import RUN, Mode, read_runs, runs_path, write_runs

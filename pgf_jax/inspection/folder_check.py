@@ -13,7 +13,7 @@ import polars as pl
 from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, read_file, read_json, sha256
 from pgf_jax.fleet.config import Cell
-from pgf_jax.physics.worlds.config import stored_settings
+from pgf_jax.settings import stored_settings
 from pgf_jax.sweeping import cell_file, columns
 from pgf_jax.sweeping.cell_store import MANIFEST, RESULTS, RUN
 from pgf_jax.sweeping.config import INPUTS, SCENES, SweepConfig

@@ -15,14 +15,13 @@ import numpy as np
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import MIB, parse_json, read_file, write_atomically
 from pgf_jax.guidance.operators.registry import world_plugins
-from pgf_jax.physics.worlds.config import stored_settings
 from pgf_jax.planning.types import Status
 from pgf_jax.plans.config import PlanConfig
 from pgf_jax.plugins.registry import plugins_record
 from pgf_jax.provenance import environment
 from pgf_jax.scene.draw import draw_scene
 from pgf_jax.scene.scene import Scene
-from pgf_jax.settings import check_path, check_type
+from pgf_jax.settings import check_path, check_type, stored_settings
 from pgf_jax.simulation.loop import PlannedFleet
 from pgf_jax.simulation.planned_robots import Segment
 

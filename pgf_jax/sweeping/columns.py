@@ -13,7 +13,7 @@ import polars as pl
 
 from pgf_jax.fleet.config import Cell
 from pgf_jax.guidance.predictors.registry import NETWORKS
-from pgf_jax.physics.worlds.config import stored_settings
+from pgf_jax.settings import stored_settings
 from pgf_jax.sweeping.cell_file import Content
 from pgf_jax.sweeping.config import HOW, INPUTS, SweepConfig
 from pgf_jax.tables import results

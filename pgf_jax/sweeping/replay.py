@@ -8,7 +8,7 @@ from typing import Any
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.events import Event, EventKind
-from pgf_jax.physics.worlds.config import stored_settings
+from pgf_jax.settings import stored_settings
 from pgf_jax.simulation.planned_robots import Robot
 from pgf_jax.simulation.recorded_operator import REPLAY, Recording
 from pgf_jax.simulation.runner import FleetRunner

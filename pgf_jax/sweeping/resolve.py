@@ -20,12 +20,13 @@ from pgf_jax.guidance.predictors.registry import NETWORKS, PredictorSpec, predic
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.jax_setup import has_options
 from pgf_jax.physics.engine import ENGINES
-from pgf_jax.physics.worlds.config import stored_settings, world_error_of
+from pgf_jax.physics.worlds.config import world_error_of
 from pgf_jax.planning.config import PLANNER_REVISION
 from pgf_jax.plugins.registry import Plugin, plugins_record
 from pgf_jax.provenance import DECISIVE, device, origin, versions
 from pgf_jax.scene import Scene, load_scenes
 from pgf_jax.scene.file import read_scenes
+from pgf_jax.settings import stored_settings
 from pgf_jax.simulation.fleet_spec import FleetSpec, TaskScenes
 from pgf_jax.simulation.recorded_operator import LIVE, REPLAY, Recording
 from pgf_jax.simulation.task_worlds import WorldSpec

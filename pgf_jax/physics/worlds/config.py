@@ -1,8 +1,8 @@
 """Names of the worlds, and how wrong a robot is about its own; imports no MuJoCo."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from typing import Annotated, Literal
 
 from pgf_jax.errors import BadInput
 from pgf_jax.settings import Bounds, check_fields, named_values
@@ -26,23 +26,6 @@ class WorldError:
     friction: Share = 0.3
     mass: Share = 0.3
     position: Annotated[float, Bounds(0, 0.02)] = 0.005
-
-
-def stored_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings as they were stored, in today's words.
-
-    Where they lack a world they are of a time when there was none: `physics` default was what is
-    called authors today, and the shipped predictors were those that are called first.
-    """
-    if "world" in settings:
-        return dict(settings)
-    today = {**settings, "world": "none"}
-    if settings.get("physics", "default") == "default":
-        today["physics"] = "authors"
-    if "predictor" in settings:
-        names = {"paper": "first", "best": "first-best"}
-        today["predictor"] = names.get(settings["predictor"], settings["predictor"])
-    return today
 
 
 def world_error_of(texts: Sequence[str], world: str) -> WorldError | None:
