@@ -56,8 +56,8 @@ class VerifyConfig:
       cells: how many cells, drawn at random, are computed again and compared bit for bit; more than
         there are: all of them.
       seed: seed of the draw; None: another one each time.
-      workers: processes that share the work, each on cores of its own; results do not depend on how
-        many. None: one a core for planar, else 1.
+      workers: cores of this computer that share the work with planar, processes with other engines;
+        results do not depend on how many. None: one a core for planar, else 1.
       scenes: folder in which the scene files lie now; None: where they were.
       predictor: where the checkpoints lie now: a folder, or best:FOLDER; None: where they were.
       log: where the replayed session lies now; None: where it was.
