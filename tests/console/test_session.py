@@ -107,7 +107,7 @@ def test_tables_are_written_at_the_end(closed):
     summary = (folder / "summary.csv").read_text().splitlines()
     assert len(summary) == 2 and summary[1].startswith("asking,2,")
     about = json.loads((folder / "session.json").read_text())
-    assert about["settings"]["speed"] == 200.0
+    assert about["settings"]["speed"] == 50.0
     assert about["settings"] == read_log(folder).settings
     assert about["identity"] == read_log(folder / JOURNAL).about["identity"]
 

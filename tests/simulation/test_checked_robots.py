@@ -64,14 +64,18 @@ def planned(config: FleetConfig, world: WorldSpec | None = SOLID) -> PlannedFlee
     return PlannedFleet(Fleet(config, robots), robots)
 
 
-def run(*fleets: PlannedFleet) -> list[PlannedFleet]:
-    list(run_fleets(fleets, service()))
+def run(*fleets: PlannedFleet, threads: int = 1) -> list[PlannedFleet]:
+    list(run_fleets(fleets, service(), threads=threads))
     return [*fleets]
+
+
+def eight() -> PlannedFleet:
+    return planned(FleetConfig(robots=8, tasks=1, policy=after(2), task_limit_s=120.0))
 
 
 @functools.cache
 def checked() -> PlannedFleet:
-    return run(planned(FleetConfig(robots=8, tasks=1, policy=after(2), task_limit_s=120.0)))[0]
+    return run(eight())[0]
 
 
 def test_what_is_solved_grasps_when_executed_from_the_start():
@@ -142,6 +146,11 @@ def test_the_company_changes_nothing():
     (alone,) = run(planned(config))
     both = run(planned(FleetConfig(robots=5, tasks=1, policy="autonomous")), planned(config))
     assert events_frame(alone.fleet.events).equals(events_frame(both[1].fleet.events))
+
+
+def test_several_calls_at_a_time_change_nothing():
+    (again,) = run(eight(), threads=2)
+    assert events_frame(again.fleet.events).equals(events_frame(checked().fleet.events))
 
 
 def test_without_a_world_nothing_is_checked():

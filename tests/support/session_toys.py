@@ -75,7 +75,7 @@ def toy(out: Path, **changes) -> ConsoleConfig:
         "policy": "asking",
         "engine": "phantom",
         "lanes": 4,
-        "speed": 200.0,
+        "speed": 50.0,
         "rollout_time": 6.0,
         "out": out,
     }
