@@ -334,8 +334,8 @@ def config_of(about: Mapping[str, Any], inputs: Mapping[str, Any], out: Path) ->
     unknown = sorted(settings.keys() - known)
     if unknown:
         raise BadInput(f"its configuration has {unknown[0]}, which a sweep has not")
-    given: dict[str, Any] = {**stored_settings(settings), "out": out}
-    for name in INPUTS:
-        if inputs.get(name) is not None:
-            given[name] = inputs[name] if name == "predictor" else Path(inputs[name])
-    return SweepConfig(**given)
+    there = {name: inputs[name] for name in INPUTS if inputs.get(name) is not None}
+    # A predictor's name means what it did when the cell was computed, as the other settings do.
+    given = stored_settings({"predictor": "paper", **settings, **there})
+    paths = {name: Path(path) for name, path in there.items() if name != "predictor"}
+    return SweepConfig(**{**given, **paths, "out": out})

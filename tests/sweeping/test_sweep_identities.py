@@ -19,7 +19,11 @@ POLICIES = ("pgf", "or-hitl", "or-hitl-window", "always", "queue", "random")
 # Horizons that cut off tasks in the middle of services and waits.
 SWEEPS = {
     "all policies, a horizon": {"policies": POLICIES, "robots": (1, 4), "horizon": 36.0},
-    "a shared computer, to the end": {"policies": ("pgf", "queue"), "compute": "shared:16"},
+    "a shared computer, to the end": {
+        "policies": ("pgf", "queue"),
+        "compute": "shared:16",
+        "predictor": "first",  # whose robots ask at the same time, so that some are refused
+    },
     "two operators": {"policies": ("random", "always"), "operators": 2, "horizon": 60.0},
 }
 
