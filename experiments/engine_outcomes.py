@@ -16,7 +16,7 @@ from rich.console import Console
 from pgf_jax import PlanConfig, configure, sample_scene
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
 from pgf_jax.plans.plan import plan_scenes
-from pgf_jax.scene import PRESETS
+from pgf_jax.scene import PUBLISHED_CLASSES
 
 LIMIT = 30  # iterations
 LANES = {"mjx": 8, "planar": 32}
@@ -36,7 +36,7 @@ def main(config: Config) -> None:
     configure(None)
     console = Console()
     scenes = [
-        (sample_scene(config.seed + i // 3, PRESETS[i % 3]), config.seed + i)
+        (sample_scene(config.seed + i // 3, PUBLISHED_CLASSES[i % 3]), config.seed + i)
         for i in range(config.scenes)
     ]
     solved, iterations = {}, {}

@@ -32,9 +32,9 @@ from pgf_jax.guidance.operators.heuristic import HeuristicOperator
 from pgf_jax.guidance.view import View
 from pgf_jax.physics.engine import default_lanes
 from pgf_jax.planning import nominal
-from pgf_jax.planning.planner import BatchPlanner, Search, start_world
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Search, start_world
 from pgf_jax.plans.plan import plan_scenes
-from pgf_jax.scene.sampling import OBJECTS
 from pgf_jax.settings import MAX_SEED, check_int
 
 ENGINE = "planar"
@@ -285,7 +285,7 @@ def compute(config: Config) -> None:
     """Compute and write the data files."""
     folder, content = config.folder(), {}
     if {2, 4} & {*config.figures}:
-        planner = planner_service_of(plan_config(), OBJECTS).planner
+        planner = planner_service_of(plan_config()).planner
         sampled = sample(config, planner)
         if 2 in config.figures:
             content[2] = figure2(config, planner, sampled)

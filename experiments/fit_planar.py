@@ -27,7 +27,7 @@ from pgf_jax.physics.worlds.world import GRASP_M, Command, Executed, execute_all
 from pgf_jax.planning.config import Cost
 from pgf_jax.planning.cost import reach_distance
 from pgf_jax.plans.plan import plan_scenes
-from pgf_jax.scene import PRESETS
+from pgf_jax.scene import PUBLISHED_CLASSES
 
 INSET = 0.006  # m, of the planar hand
 CHOICES: tuple[dict[str, float], ...] = (
@@ -70,7 +70,7 @@ class Truth:
 def truth_of(config: Config) -> Truth:
     """Plan, draw trajectories around the solutions, and execute them in the solid world."""
     scenes = [
-        (sample_scene(config.seed + i // 3, PRESETS[i % 3]), config.seed + i)
+        (sample_scene(config.seed + i // 3, PUBLISHED_CLASSES[i % 3]), config.seed + i)
         for i in range(config.scenes)
     ]
     plans = [p for p in plan_scenes(scenes, PlanConfig(world="solid", lanes=64)) if p.solved]

@@ -20,7 +20,7 @@ from pgf_jax import ExecuteConfig, PlanConfig, configure, execute, load_scene, s
 from pgf_jax.batching.planner_service import planner_service_of
 from pgf_jax.fleet.metrics import rate_interval
 from pgf_jax.plans.file import Plan
-from pgf_jax.scene import PRESETS, Scene
+from pgf_jax.scene import PUBLISHED_CLASSES, Scene
 from pgf_jax.simulation.loop import run_fleets
 from pgf_jax.simulation.single_robot import single_robot
 from pgf_jax.simulation.task_worlds import WorldSpec
@@ -35,7 +35,7 @@ class Config:
     scenes: Path | None = None  # folder of published scene files; None: only sampled ones
     count: int = 200  # of sampled scenes, of each class
     worlds: tuple[World, ...] = ("none", "solid")
-    classes: tuple[str, ...] = PRESETS
+    classes: tuple[str, ...] = PUBLISHED_CLASSES
     seed: int = 20_000
     physics: Literal["default", "authors"] = "default"
 
@@ -45,7 +45,7 @@ def judge(scenes: list[tuple[Scene, int]], world: World, config: Config) -> str:
     plan_config = PlanConfig(
         world=world, operator="heuristic", lanes=64, physics=config.physics, predictor="paper"
     )
-    service = planner_service_of(plan_config, len(scenes[0][0].objects))
+    service = planner_service_of(plan_config)
     spec = WorldSpec.of(world, [scene for scene, _ in scenes])
     fleets = [
         single_robot(

@@ -19,7 +19,7 @@ from pgf_jax import Plan, PlanConfig, configure, sample_scene
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
 from pgf_jax.fleet.policies import once_after
 from pgf_jax.plans.plan import plan_scenes
-from pgf_jax.scene import PRESETS
+from pgf_jax.scene import PUBLISHED_CLASSES
 
 HARD_AFTER, LIMIT = 6, 30  # iterations
 
@@ -56,7 +56,7 @@ def main(config: Config) -> None:
     configure(config.engine)
     console = Console()
     scenes = [
-        (sample_scene(config.seed + i // 3, PRESETS[i % 3]), config.seed + i)
+        (sample_scene(config.seed + i // 3, PUBLISHED_CLASSES[i % 3]), config.seed + i)
         for i in range(config.scenes)
     ]
     # 1.5 s for iteration 0, 3 s for each further one: a run of exactly LIMIT iterations.
@@ -95,7 +95,7 @@ def report(console: Console, pairs: list[tuple[Plan, Plan]], config: Config) -> 
         "of them solved with help",
     ):
         table.add_column(column, justify="left" if column == "class" else "right")
-    for name in (*PRESETS, "all"):
+    for name in (*PUBLISHED_CLASSES, "all"):
         rows = [p for p in pairs if name in ("all", p[0].scene.name.split("_")[0])]
         unsolved = [p for p in rows if not solved_within(p[0], LIMIT)]
         rates = [

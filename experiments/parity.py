@@ -23,7 +23,7 @@ from pgf_jax.physics.config import Physics
 from pgf_jax.physics.engine import Rollout, World
 from pgf_jax.physics.model import KINEMATIC_ARMATURE
 from pgf_jax.profiling.measure import noisy_nominals
-from pgf_jax.scene import PRESETS
+from pgf_jax.scene import PUBLISHED_CLASSES
 
 MOVED_M, FORCE_N = 0.005, 1.0
 
@@ -70,7 +70,9 @@ def main(config: Config) -> None:
     """Roll out with both engines and print the distances."""
     configure(config.engine)
     if config.scenes is None:
-        scenes = [sample_scene(config.seed + i, PRESETS[i % 3]) for i in range(config.count)]
+        scenes = [
+            sample_scene(config.seed + i, PUBLISHED_CLASSES[i % 3]) for i in range(config.count)
+        ]
     else:
         scenes = [load_scene(p) for p in sorted(config.scenes.glob("*.xml"))][: config.count]
     n = len(scenes[0].objects)

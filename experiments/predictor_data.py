@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pgf_jax.scene import PRESETS
+from pgf_jax.scene import PUBLISHED_CLASSES
 from pgf_jax.tables.forks import Forks, forks_of, read_forks
 from pgf_jax.tables.parquet import read_provenance
 from pgf_jax.tables.runs import Mode, read_runs, runs_path
@@ -107,7 +107,7 @@ def _content(folder: Path, mode: Mode) -> dict[str, Any]:
         "data": f"{folder.name}/{mode}",
         "scenes": settings["scenes"],
         "with_data": len(first),
-        "by_class": {name: int((first["class"] == name).sum()) for name in PRESETS},
+        "by_class": {name: int((first["class"] == name).sum()) for name in PUBLISHED_CLASSES},
         "solved": solved,
         "with_input": int(frame.filter(kinds)["scene"].n_unique()),
         "seed": settings["settings"]["seed"],

@@ -17,7 +17,7 @@ from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.files import png
 from pgf_jax.guidance.predictors.features import STATE
 from pgf_jax.planning.types import LOOK_AHEAD
-from pgf_jax.scene import PRESETS
+from pgf_jax.scene import PUBLISHED_CLASSES
 from pgf_jax.tables.forks import Forks
 from pgf_jax.training.fit import Trained
 
@@ -27,7 +27,7 @@ LAST = [STATE.index(f"{term}[t-0]") for term in ("c_d", "c_f", "c_b")]
 
 
 def _parts(classes: np.ndarray) -> Iterable[tuple[str, np.ndarray]]:
-    for name in (*PRESETS, "all"):
+    for name in (*PUBLISHED_CLASSES, "all"):
         index = np.flatnonzero(np.full(len(classes), True) if name == "all" else classes == name)
         if len(index) >= 10:
             yield name, index

@@ -23,9 +23,10 @@ from pgf_jax.fleet.metrics import rate_interval
 from pgf_jax.guidance.operators import heuristic
 from pgf_jax.guidance.view import View
 from pgf_jax.physics.engine import World
-from pgf_jax.planning.planner import BatchPlanner, Search, start_world
-from pgf_jax.scene import PRESETS
-from pgf_jax.scene.scene import SIDE_WALL_Y
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Search, start_world
+from pgf_jax.scene import PUBLISHED_CLASSES
+from pgf_jax.scene.shelf import SIDE_WALL_Y
 
 ALONE, PUSH, TOTAL, LIMIT = 3, 3, 11, 30  # iterations
 ROOMS = (0.05, 0.08, 0.10, 0.15, 0.40)  # m
@@ -100,7 +101,7 @@ class Tries:
 def outcomes(config: Config, seeds: range, tries: Tries) -> list[Outcome]:
     """Outcomes of the slow scenes among those of some seeds."""
     planner = tries.planner
-    scenes = [sample_scene(seed, preset) for seed in seeds for preset in PRESETS]
+    scenes = [sample_scene(seed, preset) for seed in seeds for preset in PUBLISHED_CLASSES]
     worlds = [start_world(s.positions) for s in scenes]
     begun = [planner.begin_reach(w, s.goal) for w, s in zip(worlds, scenes, strict=True)]
     slow = [
@@ -136,10 +137,10 @@ def main(config: Config) -> None:
     """Try the pushes, and print the table."""
     configure()
     console, tries, found = Console(), Tries(config), []
-    seeds = range(config.seed, config.seed + -(-config.scenes // len(PRESETS)))
+    seeds = range(config.seed, config.seed + -(-config.scenes // len(PUBLISHED_CLASSES)))
     for k in range(0, len(seeds), 10):
         found += outcomes(config, seeds[k : k + 10], tries)
-        console.print(f"{len(seeds[: k + 10]) * len(PRESETS)} scenes, {len(found)} slow")
+        console.print(f"{len(seeds[: k + 10]) * len(PUBLISHED_CLASSES)} scenes, {len(found)} slow")
     table = Table(title=f"slow scenes: solved within {TOTAL} more iterations, %")
     for column in (
         "goal to side wall, m",

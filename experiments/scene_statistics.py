@@ -10,7 +10,14 @@ import re
 import sys
 
 from pgf_jax.errors import BadInput
-from pgf_jax.scene import PRESETS, Scene, load_scenes, sample_scene, scene_statistics
+from pgf_jax.scene import (
+    PRESETS,
+    PUBLISHED_CLASSES,
+    Scene,
+    load_scenes,
+    sample_scene,
+    scene_statistics,
+)
 
 COLUMNS = (
     f"{'class':<17}{'scenes':>6}  {'x range':<11}{'y range':<12}{'goal x 5..50..95 %':<20}"
@@ -45,9 +52,9 @@ def _by_class(scenes: list[Scene]) -> dict[str, list[Scene]]:
     for scene in scenes:
         number = re.search(r"\d+$", scene.name)
         index = (int(number[0]) - 1) // 1000 if number else -1
-        if not 0 <= index < len(PRESETS):
+        if not 0 <= index < len(PUBLISHED_CLASSES):
             raise BadInput(f"scene {scene.name}: expected a name that ends in a number 1..3000")
-        classes.setdefault(PRESETS[index], []).append(scene)
+        classes.setdefault(PUBLISHED_CLASSES[index], []).append(scene)
     return classes
 
 

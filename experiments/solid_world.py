@@ -37,7 +37,7 @@ from pgf_jax.planning.config import Cost
 from pgf_jax.planning.cost import reach_distance
 from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.profiling.measure import noisy_nominals
-from pgf_jax.scene import PRESETS, Scene
+from pgf_jax.scene import PUBLISHED_CLASSES, Scene
 
 MOVED_M = 0.005
 GRAVITY = 9.81  # MuJoCo's
@@ -89,7 +89,7 @@ class Watched(SolidWorld):
 
 
 def scenes_of(first: int, count: int) -> list[Scene]:
-    return [sample_scene(first + i // 3, PRESETS[i % 3]) for i in range(count)]
+    return [sample_scene(first + i // 3, PUBLISHED_CLASSES[i % 3]) for i in range(count)]
 
 
 def planned(config: Config) -> list[Case]:

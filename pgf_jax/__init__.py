@@ -39,7 +39,8 @@ if TYPE_CHECKING:
     from pgf_jax.plans.file import load_plan as load_plan
     from pgf_jax.plans.file import save_plan as save_plan
     from pgf_jax.plans.plan import plan as plan
-    from pgf_jax.scene.mjcf import load_scene as load_scene
+    from pgf_jax.scene.file import save_scene as save_scene
+    from pgf_jax.scene.load import load_scene as load_scene
     from pgf_jax.scene.sampling import sample_scene as sample_scene
     from pgf_jax.scene.scene import Scene as Scene
     from pgf_jax.sweeping.config import SweepConfig as SweepConfig
@@ -72,7 +73,7 @@ _MODULES = {
     "configure": "jax_setup",
     "execute": "plans.execute",
     "load_plan": "plans.file",
-    "load_scene": "scene.mjcf",
+    "load_scene": "scene.load",
     "load_sweep": "sweeping.load",
     "make_engine": "physics.engine",
     "plan": "plans.plan",
@@ -81,6 +82,7 @@ _MODULES = {
     "register_policy": "fleet.policies",
     "sample_scene": "scene.sampling",
     "save_plan": "plans.file",
+    "save_scene": "scene.file",
     "sweep": "sweeping.sweep",
     "sweeps": "sweeping.sweep",
     "train": "training.train",

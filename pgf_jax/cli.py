@@ -117,6 +117,12 @@ def _help() -> str:
 # --- commands -----------------------------------------------------------------------------------
 
 
+def _scene(command: Any) -> None:
+    from pgf_jax.scene.command import run
+
+    run(command)
+
+
 def _plan(command: Any) -> None:
     from pgf_jax.plans.command import run
 
@@ -192,6 +198,11 @@ def _console(config: Any) -> None:
 
 
 COMMANDS = {
+    "scene": Command(
+        "check and draw scenes, or sample them into files",
+        "pgf_jax.scene.config:SceneCommand",
+        _scene,
+    ),
     "plan": Command("plan scenes, and write the plans", "pgf_jax.plans.config:PlanCommand", _plan),
     "execute": Command(
         "execute plans in a world in 3-D: do they grasp?",

@@ -111,7 +111,10 @@ SCENE = "pgf_jax.sample_scene(0)"
             "SweepConfig(policies='pgf')",
             "policies: expected a list of names, as in policies=('pgf'",
         ),
-        ("sample_scene(7, 'Wide')", "preset: expected one of tight, medium, wide, got 'Wide': did"),
+        (
+            "sample_scene(7, 'Wide')",
+            "preset: expected one of tight, medium, wide, crowded, ",
+        ),
         (f"load_scene({SCENE})", "path: expected a path, got a Scene"),
         ("load_plan(None)", "path: expected a path, got None"),
     ],

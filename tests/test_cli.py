@@ -55,8 +55,8 @@ def process(*arguments: object) -> subprocess.CompletedProcess:
 ARGUMENTS = {
     "command": (
         ["plane"],
-        "command: expected one of plan, execute, sweep, verify, reproduce, console, collect, "
-        "train, fit-operator, profile, render, got 'plane'",
+        "command: expected one of scene, plan, execute, sweep, verify, reproduce, console, "
+        "collect, train, fit-operator, profile, render, got 'plane'",
     ),
     "robots": (["console", "--robots", "0"], "--robots: expected a whole number within 1..100"),
     "host": (["console", "--host", "here"], "--host: expected an address such as 127.0.0.1"),
@@ -76,11 +76,11 @@ ARGUMENTS = {
     "two": (["plan", "--scene", "a.xml", "--scene-class", "wide"], "one of the two, got both"),
     "class": (
         ["plan", "--scene-class", "huge"],
-        "--scene-class: expected one of medium, tight, wide, got 'huge'",
+        "--scene-class: expected one of crowded, medium, mixed, packed, tight, wide, got 'huge'",
     ),
     "class by its other name": (
         ["plan", "--preset", "huge"],
-        "pgf-jax: --scene-class: expected one of medium, tight, wide, got 'huge'",
+        "pgf-jax: --scene-class: expected one of crowded, medium, mixed, packed, tight, wide, got ",
     ),
     "negative": (
         ["plan", "--scene-class", "tight", "--count", "-2"],
@@ -151,7 +151,7 @@ ARGUMENTS = {
     ),
     "classes": (
         ["collect", "human", "--scenes", 1, "--out", "x", "--classes", "flat"],
-        "--classes: expected one of tight, medium, wide, got 'flat'",
+        "--classes: expected one of tight, medium, wide, crowded, packed, mixed, got 'flat'",
     ),
     "sweep": (["sweep", "--robots", "-1"], "robots"),
     "sweep preset": (["sweep", "--preset", "x"], "--preset: expected one of paper, quick, got 'x'"),
@@ -459,8 +459,8 @@ def test_what_none_means_is_said(name):
 
 # Options of one name that mean something else in each command, or have more choices in some.
 OTHER_MEANING = {
-    *("json", "log", "out", "patience", "repeats", "resume", "scenes", "seed", "speed"),
-    *("world", "world_error"),
+    *("json", "log", "out", "patience", "repeats", "resume", "scene", "scenes", "seed"),
+    *("speed", "world", "world_error"),
 }
 MORE_CHOICES = {"operator", "policy", "predictor", "robot", "robots", "scene_class", "task"}
 

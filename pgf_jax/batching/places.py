@@ -8,7 +8,8 @@ from pgf_jax.batching.requests import Coroutine, Execute, KeyPath, Step
 from pgf_jax.physics.engine import World
 from pgf_jax.physics.worlds.world import Command, State, World3D
 from pgf_jax.planning.candidates import Candidates
-from pgf_jax.planning.planner import BatchPlanner, Search
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Search
 
 
 class Place(NamedTuple):

@@ -8,7 +8,7 @@ import copy
 import functools
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -17,12 +17,14 @@ import numpy as np
 
 from pgf_jax.batching.requests import Execute, PredictGain, Request, Retreat, Step, robot_key_path
 from pgf_jax.physics.config import Physics, physics_of
-from pgf_jax.physics.engine import ENGINES, Engine, make_engine
+from pgf_jax.physics.engine import ENGINES, Engine
+from pgf_jax.physics.sized import SizedEngine
 from pgf_jax.physics.worlds.world import execute_all
 from pgf_jax.planning import candidates
 from pgf_jax.planning.config import Planner as PlannerConfig
 from pgf_jax.planning.config import Planning, planner_of
-from pgf_jax.planning.planner import BatchPlanner, Rolled, Search
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Rolled, Search
 
 
 class PlannerService:
@@ -35,7 +37,7 @@ class PlannerService:
       config: of the planner.
     """
 
-    def __init__(self, engine: Engine, config: PlannerConfig | None = None) -> None:
+    def __init__(self, engine: SizedEngine, config: PlannerConfig | None = None) -> None:
         self.engine = engine
         self.planner = BatchPlanner(engine, config)
         self.steps = 0  # iterations computed
@@ -44,7 +46,7 @@ class PlannerService:
         self.seconds = 0.0  # of the wall clock spent in `compute`
         self.answering_s = 0.0  # that, and the coroutines' own time between requests (`run_fleets`)
         self._counting = threading.Lock()
-        self.warm: list[bool] = []  # shared by copies: whether its programs are compiled
+        self.warm: set[Hashable] = set()  # shared by copies: what has been compiled
         self._keys = jax.jit(jax.vmap(_key))
 
     def occupancy(self) -> tuple[int, int]:
@@ -53,10 +55,9 @@ class PlannerService:
         In the units of an engine that leaves lanes out and counts what it does; else in lanes of
         iteration calls.
         """
-        own = getattr(self.engine, "occupancy", None)
-        used, computed = self.lanes_used, self.calls * self.engine.lanes
+        lanes = self.lanes_used, self.calls * self.engine.lanes
         self.calls = self.lanes_used = 0
-        return (used, computed) if own is None else own()
+        return self.engine.occupancy() or lanes
 
     def compute(self, requests: Sequence[Request]) -> list[Any]:
         """Results of requests, in order; `requests.py` says what each gives."""
@@ -84,30 +85,28 @@ class PlannerService:
             results[i] = result
         steps = [(i, r) for i, r in enumerate(requests) if isinstance(r, Step)]
         retreats = [(i, r) for i, r in enumerate(requests) if isinstance(r, Retreat)]
-        for part in _parts(retreats, self.engine.lanes):
+        for part in _parts(retreats, lambda retreat: retreat.search.program, self.engine.lanes):
             worlds = self.planner.retreat([retreat.search for _, retreat in part])
             for (i, _), world in zip(part, worlds, strict=True):
                 results[i] = world
         # Apart, so that no result depends on what the others of its call asked for.
-        for wanted in (False, True):
-            alike = [(i, step) for i, step in steps if step.candidates is wanted]
-            for part in _parts(alike, self.engine.lanes):
-                after = self._iterate([step for _, step in part], wanted)
-                for (i, _), result in zip(part, after, strict=True):
-                    results[i] = result
+        for part in _parts(steps, lambda step: step.program, self.engine.lanes):
+            alike = [step for _, step in part]
+            for (i, _), result in zip(part, self._iterate(alike), strict=True):
+                results[i] = result
         return results
 
     def rolled(self, step: Step) -> tuple[Search, Rolled]:
         """Compute an iteration and return all of its rollouts too; it counts in no statistics."""
         return self.planner.rolled(step.search, self._keys_of([step])[0])
 
-    def _iterate(self, steps: Sequence[Step], checked: bool) -> list[Any]:
+    def _iterate(self, steps: Sequence[Step]) -> list[Any]:
         with self._counting:
             self.calls += 1
             self.steps += len(steps)
             self.lanes_used += len(steps)
         searches, keys = [step.search for step in steps], self._keys_of(steps)
-        if not checked:
+        if not steps[0].candidates:
             return self.planner.step(searches, keys)
         pairs = zip(searches, self.planner.step_valued(searches, keys), strict=True)
         return [
@@ -135,7 +134,8 @@ def warm_up(
     Returns:
       The time that it took, s; 0 where a service with the same programs has been warmed up before.
     """
-    if planner_service.warm:
+    program = (search.program, checked)
+    if program in planner_service.warm:
         return 0.0
     start, key_path = time.perf_counter(), robot_key_path(seed, 0, 0, 0)(0)
     planner_service.compute([Step(search, key_path)])
@@ -143,32 +143,31 @@ def warm_up(
         planner_service.compute([Step(search, key_path, candidates=True)])
         candidates.warm_up(planner_service.planner, search)
     seconds = time.perf_counter() - start
-    planner_service.warm.append(True)
+    planner_service.warm.add(program)
     planner_service.occupancy()
     planner_service.steps = 0
     planner_service.seconds = 0.0
     return seconds
 
 
-def planner_service_of(config: Planning, n_objects: int) -> PlannerService:
+def planner_service_of(config: Planning) -> PlannerService:
     """The planner service for the engine, physics, planner and lanes of `config`."""
     return make_planner_service(
         config.engine,
         physics_of(config.physics, config.physics_constants),
         planner_of(config),
         config.lanes or 1,
-        n_objects,
     )
 
 
 def make_planner_service(
-    engine: str, physics: Physics, planner: PlannerConfig, lanes: int, n_objects: int
+    engine: str, physics: Physics, planner: PlannerConfig, lanes: int
 ) -> PlannerService:
     """A planner service with counters of its own.
 
     Its compiled programs are kept: a second service of the same settings traces nothing again.
     """
-    return copy.copy(_compiled(engine, physics, planner, lanes, n_objects, ENGINES.make(engine)))
+    return copy.copy(_compiled(engine, physics, planner, lanes, ENGINES.make(engine)))
 
 
 @functools.lru_cache(maxsize=8)
@@ -177,12 +176,9 @@ def _compiled(
     physics: Physics,
     planner: PlannerConfig,
     lanes: int,
-    n_objects: int,
     make: Callable[..., Engine],  # an engine that is registered again is another one
 ) -> PlannerService:
-    return PlannerService(
-        make_engine(engine, physics=physics, n_objects=n_objects, lanes=lanes), planner
-    )
+    return PlannerService(SizedEngine.of_name(engine, physics, lanes), planner)
 
 
 def _key(path: jax.Array) -> jax.Array:
@@ -193,5 +189,12 @@ def _key(path: jax.Array) -> jax.Array:
     return jax.random.key_data(key).astype(jnp.uint32)
 
 
-def _parts(items: Sequence, size: int) -> list:
-    return [items[i : i + size] for i in range(0, len(items), size)]
+def _parts(
+    items: Sequence[tuple[int, Any]], kind: Callable[[Any], Hashable], size: int
+) -> Iterator[list[tuple[int, Any]]]:
+    """Numbered requests in calls: each of one kind, and of at most `size` of them."""
+    kinds: dict[Hashable, list[tuple[int, Any]]] = {}
+    for item in items:
+        kinds.setdefault(kind(item[1]), []).append(item)
+    for alike in kinds.values():
+        yield from (alike[i : i + size] for i in range(0, len(alike), size))

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from pgf_jax.physics.worlds.world import Command, World3D
-from pgf_jax.planning.planner import Search
+from pgf_jax.planning.search import Search
 
 NOISE = 0  # purpose of a robot's own noise; the purposes of trials come after it
 TRIAL_STEPS = 256  # iterations that one trial may take: each has a purpose of its own
@@ -41,6 +41,11 @@ class Step(NamedTuple):
     search: Search
     key_path: KeyPath
     candidates: bool = False
+
+    @property
+    def program(self) -> Hashable:
+        """What has to be equal in the iterations of one call."""
+        return self.search.program, self.candidates
 
 
 class Retreat(NamedTuple):

@@ -11,7 +11,7 @@ import contextlib
 import functools
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -115,9 +115,20 @@ class BatchScheduler:
             self.resolve(self._under_way.pop(future), future.result())
 
     def take_steps(self, most: int | None = None) -> list[Pending]:
-        """Take iterations out of the queue, for `resolve`: one call's worth, and at most `most`."""
-        count = min(self._planner_service.engine.lanes, len(self._steps))
-        return [self._steps.popleft() for _ in range(count if most is None else min(count, most))]
+        """Take iterations out of the queue, for `resolve`: one call's worth, and at most `most`.
+
+        All are of one program, that of the first, so that the call's lanes are full if they can be.
+        """
+        lanes = self._planner_service.engine.lanes
+        count = lanes if most is None else min(lanes, most)
+        taken: list[Pending] = []
+        left: deque[Pending] = deque()
+        while self._steps and len(taken) < count:
+            pending = self._steps.popleft()
+            same = not taken or _program(pending) == _program(taken[0])
+            (taken if same else left).append(pending)
+        self._steps.extendleft(reversed(left))
+        return taken
 
     def take_others(self) -> list[Pending]:
         """Take all requests that are no iterations out of the queue, for `resolve`."""
@@ -191,3 +202,8 @@ class BatchScheduler:
         waiting, memo.waiting = memo.waiting, []
         for running, place in waiting:
             self._deliver(running, place, result)
+
+
+def _program(pending: Pending) -> Hashable:
+    step: Any = pending[-1]
+    return step.program

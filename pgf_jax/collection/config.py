@@ -23,10 +23,13 @@ from pgf_jax.planning.config import (
     Update,
     planner_of,
 )
-from pgf_jax.scene import PRESETS, SceneClass
+from pgf_jax.scene import PRESETS, PUBLISHED_CLASSES, SceneClass
 from pgf_jax.settings import MAX_SEED, Count, Index, Seed, check_fields, check_int
 
 _BESIDE_LOG = ("mode", "out", "log", "resume")
+
+
+Classes = tuple[SceneClass, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +44,7 @@ class CollectConfig:
       scenes: how many scenes to sample; None: none, with --log.
       log: recorded sessions to take human runs from, instead of planning scenes: their folders, or
         event logs. They have their own settings, so that no others can be given.
-      classes: classes of the sampled scenes, in turn: tight, medium, wide.
+      classes: classes of the sampled scenes, in turn: tight, medium, wide, crowded, packed, mixed.
       seed: seed of the first scene and its noise; the next scenes count on from there.
       engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
         in C), solid (the solid world; slow), or a registered one.
@@ -89,7 +92,7 @@ class CollectConfig:
     out: Path
     scenes: Annotated[Count | None, tyro.conf.arg(aliases=["--count"])] = None
     log: tuple[Path, ...] = ()
-    classes: Annotated[tuple[SceneClass, ...], tyro.conf.arg(aliases=["--scene-classes"])] = PRESETS
+    classes: Annotated[Classes, tyro.conf.arg(aliases=["--scene-classes"])] = PUBLISHED_CLASSES
     seed: Seed = 0
     engine: str = "planar"
     physics: PhysicsName = "default"

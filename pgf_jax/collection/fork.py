@@ -21,9 +21,11 @@ from pgf_jax.guidance.operators.base import AnyOperator, ask_operator
 from pgf_jax.guidance.predictors.features import STATE, state_features
 from pgf_jax.guidance.trials import Trial, simulate_input
 from pgf_jax.guidance.view import View
-from pgf_jax.planning.planner import BatchPlanner, Search, start_world
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Search, start_world
 from pgf_jax.planning.types import LOOK_AHEAD
-from pgf_jax.scene.scene import Scene, class_of
+from pgf_jax.scene.sampling import class_of
+from pgf_jax.scene.scene import Scene
 from pgf_jax.simulation.task_worlds import WorldSpec
 from pgf_jax.streams import stream
 from pgf_jax.tables.forks import FORK_SCHEMA
@@ -51,7 +53,7 @@ def fork(
       first, last: reach iterations after which the state may be taken.
       world: in which solutions are checked; None: the engine is believed.
     """
-    search = planner.begin_reach(start_world(scene.positions), scene.goal)
+    search = planner.begin_reach(start_world(scene.positions), scene.goal, scene.shelf)
     unsolved: list[Search] = []
     place = None
     if world is not None:

@@ -18,7 +18,7 @@ from pgf_jax.jax_setup import configure_early
 from pgf_jax.parallel.local import LocalPool, Stopped, WorkerDied, report, stop_requested
 from pgf_jax.physics.engine import ENGINES, default_processes
 from pgf_jax.plugins.registry import check_importable
-from pgf_jax.scene.sampling import OBJECTS, sample_scene
+from pgf_jax.scene.sampling import sample_scene
 from pgf_jax.scene.scene import Scene
 from pgf_jax.simulation.loop import PlannedFleet, run_fleets
 from pgf_jax.simulation.single_robot import single_robot
@@ -117,7 +117,7 @@ def _check_stop() -> None:
 
 
 def _runs(config: CollectConfig, numbers: Sequence[int]) -> Iterator[Ended]:
-    planner_service = planner_service_of(config, OBJECTS)
+    planner_service = planner_service_of(config)
     world = WorldSpec.of(config.world, None)
 
     def fleets() -> Iterator[PlannedFleet]:
@@ -145,7 +145,7 @@ def _runs(config: CollectConfig, numbers: Sequence[int]) -> Iterator[Ended]:
 
 
 def _forks(config: CollectConfig, numbers: Sequence[int]) -> Iterator[Ended]:
-    planner_service = planner_service_of(config, OBJECTS)
+    planner_service = planner_service_of(config)
     operator = make_operator(config.operator)
     scheduler = BatchScheduler(planner_service)
     world = WorldSpec.of(config.world, None)

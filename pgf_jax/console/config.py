@@ -74,9 +74,10 @@ class ConsoleConfig:
         shipped; first or first-best, those that shipped before solutions were checked in a world; a
         folder of checkpoints, for the paper's pair of networks in it; or best:FOLDER.
       scene_class: class of the sampled scenes: tight, medium, wide, or all (the three in turn);
+        crowded, packed (36 and 44 objects), mixed (of different sizes), or every (all six);
         None: tight.
-      scenes: scenes from which the tasks are drawn: a folder of scene files (*.xml), or a file of
-        scenes (*.json). None: scenes are sampled.
+      scenes: scenes from which the tasks are drawn: a folder of scene files (*.xml, *.json), or a
+        file of scenes (*.json). None: scenes are sampled.
       engine: physics engine: planar (fast, disks on a plane), mjx (MuJoCo in JAX), native (MuJoCo
         in C), solid (the solid world; slow), or a registered one.
       physics: physics constants of the engines on the plane: default (fitted to the solid world),

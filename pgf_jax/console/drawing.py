@@ -10,7 +10,6 @@ from pgf_jax.console.fleet_view import Disks, Squares
 from pgf_jax.console.layout import Layout
 from pgf_jax.console.session import Frame
 from pgf_jax.physics import hand
-from pgf_jax.scene.scene import RADIUS
 
 _SMALL, _LARGE = 8, 24  # sides of a disk: there are many small ones
 _SQUARE = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
@@ -98,7 +97,7 @@ class Drawing:
             robot = frame.fleet.robots[picked.robot]
             ends = cell.place(np.array([robot.objects[picked.object], picked.target]))
             centers = np.array([[*ends[1], 0.06]])
-            radii = np.array([cell.scale * RADIUS])
+            radii = np.array([cell.scale * robot.radii[picked.object]])
             arrow = np.concatenate([ends, [[0.065], [0.065]]], 1)[None]
         self._put(self._picked, "picked", centers, np.tile(radii[:, None], (1, 3)), color)
         return arrow

@@ -18,7 +18,7 @@ from pgf_jax.console.layout import (
 )
 from pgf_jax.fleet.records import State
 from pgf_jax.physics import hand
-from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene.shelf import FRONT_X
 from pgf_jax.simulation.snapshot import FleetSnapshot, RobotSnapshot, short_number
 
 CAPTION_V = 1.14  # top of the caption in a cell, m on the scale of its shelf
@@ -85,15 +85,10 @@ def borders(pairs: list[tuple[Cell, RobotSnapshot]]) -> tuple[np.ndarray, np.nda
 def walls(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
     """Walls of the shelves, [M, 2, 3]."""
     parts = [np.empty((0, 2, 3))]
-    corners = np.array(
-        [
-            [FRONT_X, SIDE_WALL_Y],
-            [BACK_WALL_X, SIDE_WALL_Y],
-            [BACK_WALL_X, -SIDE_WALL_Y],
-            [FRONT_X, -SIDE_WALL_Y],
-        ]
-    )
-    parts += [_chain(cell.place(corners), 0.012) for cell, _ in pairs]
+    for cell, robot in pairs:
+        back, side = robot.back_x, robot.side_y
+        corners = np.array([[FRONT_X, side], [back, side], [back, -side], [FRONT_X, -side]])
+        parts.append(_chain(cell.place(corners), 0.012))
     return np.concatenate(parts)
 
 
@@ -115,7 +110,7 @@ def objects(
         if cell.large and chosen is not None:
             color[chosen] = CHOSEN
         centers.append(cell.place(robot.objects))
-        radii.append(np.full(n, cell.scale * RADIUS))
+        radii.append(cell.scale * robot.radii)
         colors.append(color)
         detailed.append(np.full(n, cell.scale >= DETAILED))
     center = _at(np.concatenate([*centers, np.empty((0, 2))]), 0.03)
@@ -169,8 +164,8 @@ def drags(pairs: list[tuple[Cell, RobotSnapshot]]) -> np.ndarray:
             moved = np.hypot(*(robot.ends - robot.objects).T) > MOVED
             ends = cell.place(np.stack([robot.objects[moved], robot.ends[moved]], 1))  # [M, 2, 2]
             parts.append(np.concatenate([ends, np.full((len(ends), 2, 1), 0.02)], -1))
-            for end in ends[:, 1]:
-                parts.append(_chain(end + cell.scale * RADIUS * _CIRCLE, 0.035))
+            for end, radius in zip(ends[:, 1], robot.radii[moved], strict=True):
+                parts.append(_chain(end + cell.scale * radius * _CIRCLE, 0.035))
     return np.concatenate(parts)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pgf_jax.console.live_operator import InputRequest
 from pgf_jax.guidance.view import View
 from pgf_jax.planning.types import NoInput, Push
-from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene.shelf import FRONT_X
 
 REACH = 1.25  # radii around an object's centre within which a click picks it
 CLEARANCE = 1e-3  # m, by which a target may overlap a neighbour: nobody clicks more precisely
@@ -160,7 +160,7 @@ class InputPanel:
             return Feedback("Pick an object first (Tab, or click it).", ok=False)
         x, y = self.target or self.pending.view.objects[self.object]
         x, y = float(x) + STEP * deeper, float(y) + STEP * left
-        outside = _outside(x, y)
+        outside = _outside(self.pending.view, self.object, x, y)
         if outside:
             return Feedback(outside, ok=False)
         # On its way the target may cross places that are not allowed at the end.
@@ -224,21 +224,22 @@ class InputPanel:
 
 def target_problem(view: View, pushed: int, x: float, y: float) -> str:
     """Why an object must not be pushed to (x, y), m; empty if it may."""
-    outside = _outside(x, y)
+    outside = _outside(view, pushed, x, y)
     if outside:
         return outside
     distance = np.hypot(view.objects[:, 0] - x, view.objects[:, 1] - y)  # [N]
     distance[pushed] = np.inf
     nearest = int(np.argmin(distance))
-    if distance[nearest] < 2 * RADIUS - CLEARANCE:
+    if distance[nearest] < view.radii[pushed] + view.radii[nearest] - CLEARANCE:
         return f"Object {nearest + 1} stands there."
     return ""
 
 
-def _outside(x: float, y: float) -> str:
-    if x < FRONT_X or x > BACK_WALL_X or abs(y) > SIDE_WALL_Y:
+def _outside(view: View, pushed: int, x: float, y: float) -> str:
+    back, side, radius = view.back_x, view.side_y, view.radii[pushed]
+    if x < FRONT_X or x > back or abs(y) > side:
         return "That is outside the shelf."
-    if x > BACK_WALL_X - RADIUS + CLEARANCE or abs(y) > SIDE_WALL_Y - RADIUS + CLEARANCE:
+    if x > back - radius + CLEARANCE or abs(y) > side - radius + CLEARANCE:
         return "The object would stand in the wall there."
     return ""
 
@@ -252,7 +253,7 @@ def _place(x: float, y: float) -> str:
 def _object_at(view: View, x: float, y: float) -> int | None:
     distance = np.hypot(view.objects[:, 0] - x, view.objects[:, 1] - y)  # [N]
     nearest = int(np.argmin(distance))
-    return nearest if distance[nearest] <= REACH * RADIUS else None
+    return nearest if distance[nearest] <= REACH * view.radii[nearest] else None
 
 
 def _from_the_hand(view: View) -> list[int]:

@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 from pgf_jax.batching.requests import Coroutine, External
 from pgf_jax.guidance.view import DecisionKey, View
-from pgf_jax.planning.planner import BatchPlanner, Search
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import NoInput, Push
 from pgf_jax.simulation.recorded_operator import LIVE, Recording
 

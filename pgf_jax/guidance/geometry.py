@@ -4,7 +4,6 @@ import numpy as np
 
 from pgf_jax.guidance.view import View
 from pgf_jax.physics import hand
-from pgf_jax.scene.scene import BACK_WALL_X, SIDE_WALL_Y
 
 _FRONT = hand.capsule_segments(0.0).max((1, 2)) > 0.12  # not the base and the wrist
 _FRONT_RADII = hand.RADII[_FRONT]
@@ -22,7 +21,8 @@ def culprits(view: View) -> np.ndarray:
     ee, yaw = end_effector(pose), pose[2] + hand.POINTING_YAW
     to = last - ee
     bearing = wrap(np.arctan2(to[:, 1], to[:, 0]) - yaw)
-    marked[np.hypot(np.linalg.norm(to, axis=1), 0.09 * bearing) < 0.075] = 1  # sits in the hand
+    away = np.hypot(np.linalg.norm(to, axis=1), 0.09 * bearing)
+    marked[away < 0.075 + view.larger] = 1  # sits in the hand
     goal_and_hand = {view.goal, n}
     for force, (a, b) in zip(view.force[-1], view.bodies[-1], strict=True):
         for one, other in ((a, b), (b, a)):
@@ -45,7 +45,7 @@ def segment_distance(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.nda
     return np.linalg.norm(points[None] - a - np.clip(t, 0, 1)[..., None] * ab, axis=-1)
 
 
-def into_walls(ee: np.ndarray, yaw: np.ndarray, capsules: np.ndarray) -> np.ndarray:
+def into_walls(view: View, ee: np.ndarray, yaw: np.ndarray, capsules: np.ndarray) -> np.ndarray:
     """Depth [P], m, in a wall of a hand at `ee` ([P, 2]), turned by `yaw` ([P]).
 
     `capsules` are the [C, 2, 2] axes, in the hand's frame, of its parts ahead of the wrist.
@@ -54,7 +54,7 @@ def into_walls(ee: np.ndarray, yaw: np.ndarray, capsules: np.ndarray) -> np.ndar
     rel = capsules - hand.EE_POINT
     x = ee[:, 0, None, None] + c[:, None, None] * rel[..., 0] - s[:, None, None] * rel[..., 1]
     y = ee[:, 1, None, None] + s[:, None, None] * rel[..., 0] + c[:, None, None] * rel[..., 1]
-    over = np.maximum(np.abs(y) - SIDE_WALL_Y, x - BACK_WALL_X) + _FRONT_RADII[:, None]
+    over = np.maximum(np.abs(y) - view.side_y, x - view.back_x) + _FRONT_RADII[:, None]
     return np.clip(over.max((1, 2)), 0, None)
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from pgf_jax.batching.places import Place, execute_and_retreat, iterate
 from pgf_jax.batching.requests import Coroutine, KeyPaths, Retreat
 from pgf_jax.physics.engine import World
-from pgf_jax.planning.planner import BatchPlanner, Search
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import Push
 
 # Iterations within a push's limit of 30 s: 1.5 s for its nominal, then 3 s for each.
@@ -72,7 +73,7 @@ def simulate_input(
     reach = planner.go_on(search)
     left = math.inf if total_limit is None else total_limit
     if push is not None:
-        current = planner.begin_push(search.start, int(search.task.goal), push)
+        current = planner.begin_push(search.start, int(search.task.goal), push, search.shelf)
         while not planner.terminate(current) and int(current.iteration) < min(push_limit, left):
             current = yield from iterate(planner, current, key_paths(steps), place)
             steps += 1
@@ -84,7 +85,7 @@ def simulate_input(
             place, world = after, after.seen
         elif found:
             (world,) = yield [Retreat(current)]
-        reach = planner.begin_reach(world, int(search.task.goal))
+        reach = planner.begin_reach(world, int(search.task.goal), search.shelf)
     last = max(0, int(reach.iteration)) + min(reach_limit, left - counted)
     while not planner.terminate(reach) and int(reach.iteration) < last:
         reach = yield from iterate(planner, reach, key_paths(steps), place)

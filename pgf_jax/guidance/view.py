@@ -5,16 +5,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pgf_jax.planning import padding
+from pgf_jax.scene.shelf import OnShelf, Shelf
+
 if TYPE_CHECKING:  # the planner needs JAX, and the command line lists the operators
     from pgf_jax.batching.places import Place
-    from pgf_jax.planning.planner import Search
+    from pgf_jax.planning.search import Search
 
 # Identifies one decision of an operator: seed, robot, task, iterations of the task that have ended.
 DecisionKey = tuple[int, int, int, int]
 
 
 @dataclasses.dataclass(frozen=True)
-class View:
+class View(OnShelf):
     """View of a robot: the shelf as it is, and the best trajectory so far.
 
     Attributes:
@@ -31,6 +34,7 @@ class View:
       request: number of this input in its task, 0-based.
       dropped: pushes since the shelf last changed that the planner could not find.
       place: where trials can be checked, the world in which the robot stands; None: there is none.
+      shelf: sizes of the objects, and walls; None: they are standard.
     """
 
     objects: np.ndarray
@@ -45,23 +49,27 @@ class View:
     request: int
     dropped: int
     place: "Place | None" = None
+    shelf: Shelf | None = None
 
     @classmethod
     def of(
         cls, search: "Search", request: int = 0, dropped: int = 0, place: "Place | None" = None
     ) -> "View":
-        """Make the view of a robot from its search."""
+        """Make the view of a robot from its search; the places that are empty are not in it."""
+        n, places = search.objects, len(search.start.objects)
+        bodies = np.asarray(search.best.bodies)
         return cls(
-            objects=np.asarray(search.start.objects),
+            objects=np.asarray(search.start.objects)[:n],
             goal=int(search.task.goal),
             hand=np.asarray(search.start.hand),
             gripper=float(search.start.gripper),
-            path=np.asarray(search.best.objects),
+            path=np.asarray(search.best.objects)[:, :n],
             hands=np.asarray(search.best.hand),
             force=np.asarray(search.best.force),
-            bodies=np.asarray(search.best.bodies),
+            bodies=np.where(bodies >= places, bodies - (places - n), bodies),
             terms=np.asarray(search.value.terms),
             request=request,
             dropped=dropped,
             place=place,
+            shelf=padding.without_empty(search.shelf),
         )

@@ -118,6 +118,23 @@ def tables() -> list[Table]:
     ]
 
 
+def scene_format() -> JsonFile:
+    """The keys of a scene's file."""
+    return JsonFile(
+        "NAME.json",
+        "a scene; all keys have to be there",
+        {
+            "version": "1",
+            "name": "of the scene; names its plan",
+            "goal": "index of the goal object, 0-based",
+            "shelf": "width, between the side walls, and depth, from its front at x 0.20 m to the "
+            "back wall, m",
+            "objects": "of each object: x, y, radius, height (m), mass (kg), table_friction "
+            "(coefficient on the table) and friction (with other bodies)",
+        },
+    )
+
+
 def plan_format() -> JsonFile:
     """The keys of a plan's file."""
     keys = attributes(Plan)
@@ -125,6 +142,7 @@ def plan_format() -> JsonFile:
         "scene": "name of the scene",
         "objects": "[x, y, radius] of each object, m",
         "goal": "index of the goal object, 0-based",
+        "scene_file": "where objects or shelf are not standard: the scene as its own file has it",
         "segments": "executed pushes, then the best reach: kind, duration_s (s), controls "
         "([vx, vy, wz] of each knot, m/s and rad/s, along the world axes), gripper (0 open .. 255 "
         "closed, at each knot's end)",
@@ -206,7 +224,7 @@ _JSON = [
 
 def json_formats() -> list[JsonFile]:
     """The JSON files, by their keys."""
-    return [plan_format(), *_JSON]
+    return [scene_format(), plan_format(), *_JSON]
 
 
 def markdown() -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pgf_jax.files import write_atomically
 from pgf_jax.physics.engine import Rollout, World
-from pgf_jax.planning.planner import Rolled, Search
+from pgf_jax.planning.search import Rolled, Search
 from pgf_jax.planning.types import Push
 
 

@@ -22,7 +22,7 @@ from pgf_jax.guidance.operators.base import NoOperator
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.inspection.config import ReproduceConfig
 from pgf_jax.inspection.iteration import Reproduction
-from pgf_jax.planning.planner import Search
+from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import Push
 from pgf_jax.simulation.fleet_spec import FleetSpec
 from pgf_jax.simulation.planned_robots import PlannedRobots

@@ -3,6 +3,7 @@
 Axes: B rollouts, T knots, N objects, C contact slots.
 """
 
+import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
@@ -13,10 +14,15 @@ from pgf_jax.plugins.registry import Registry, caller
 
 Array = Any  # numpy or JAX array: engines take and return either
 
-# C, contact slots of every engine's rollouts: no published scene had more than 20 simultaneous
-# contacts. `mjx` drops the contacts beyond C. `native` and `planar` solve all of them, but report
-# only C (`planar`: the strongest), so that the others do not count in the cost.
-MAX_CONTACTS = 24
+
+def contact_slots(n_objects: int) -> int:
+    """C, contact slots of every engine's rollouts of N objects.
+
+    No published scene, of 20 objects, had more than 20 simultaneous contacts. `mjx` drops the
+    contacts beyond C. `native` and `planar` solve all of them, but report only C (`planar`: the
+    strongest), so that the others do not count in the cost.
+    """
+    return 24 + 3 * max(0, n_objects - 20) // 2
 
 
 class World(NamedTuple):
@@ -70,6 +76,10 @@ class Engine(Protocol):
         wanted: Array | None = None,
     ) -> Rollout:
         """Roll out from `start`.
+
+        An engine that takes one more argument, `shelf`, simulates any objects; it gets a `Shelf`
+        with [B] in front of each array, or None where all are standard. Others are refused scenes
+        that are not standard.
 
         Args:
           start: [B] worlds.
@@ -148,6 +158,11 @@ def calls_use_one_core(engine: str) -> bool:
 def default_processes(engine: str) -> int:
     """Workers where no number is given: one a core, unless the engine's calls use all cores."""
     return len(cores.usable()) if calls_use_one_core(engine) else 1
+
+
+def takes_shelves(engine: Engine) -> bool:
+    """Whether an engine simulates shelves that are not standard, see `Engine.rollout`."""
+    return "shelf" in inspect.signature(engine.rollout).parameters
 
 
 def choice(engine: str, option: str, value: str, choices: Mapping[str, Any]) -> Any:

@@ -12,7 +12,9 @@ from mujoco.batch import Batch
 from pgf_jax.cores import usable
 from pgf_jax.physics import hand, model
 from pgf_jax.physics.config import Physics
-from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World, choice
+from pgf_jax.physics.engine import Rollout, World, choice, contact_slots
+from pgf_jax.physics.shelves import KeptByShelf
+from pgf_jax.scene.shelf import Shelf
 
 SOLVERS = {"cg": mujoco.mjtSolver.mjSOL_CG, "newton": mujoco.mjtSolver.mjSOL_NEWTON}
 JACOBIANS = {"dense": mujoco.mjtJacobian.mjJAC_DENSE, "sparse": mujoco.mjtJacobian.mjJAC_SPARSE}
@@ -37,40 +39,81 @@ class NativeEngine:
         sleep: bool = True,
     ) -> None:
         self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
-        compiled = model.compile_model(physics, n_objects)
         self.threads = threads or len(usable())
-        self._hand_geoms = model.hand_geoms(compiled)
-        self._bodies = model.geom_bodies(compiled, n_objects)
-        self._model = copy.copy(compiled)
-        self._model.opt.solver = choice(self.name, "solver", solver, SOLVERS)
-        self._model.opt.jacobian = choice(self.name, "jacobian", jacobian, JACOBIANS)
-        self._model.opt.iterations, self._model.opt.tolerance = iterations, tolerance
-        # A diverged state stays non-finite; MuJoCo would reset it to the model's initial state.
-        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        if sleep:
-            self._model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-        self._batches: dict[int, Batch] = {}
-        self._scratch = mujoco.MjData(self._model)
+        solver = choice(self.name, "solver", solver, SOLVERS)
+        jacobian = choice(self.name, "jacobian", jacobian, JACOBIANS)
 
-    def rollout(self, start: World, controls, gripper, substeps: int, wanted=None) -> Rollout:
+        def simulations(shelf: Shelf | None) -> _Simulations:
+            m = copy.copy(model.compile_model(physics, n_objects, shelf))
+            m.opt.solver, m.opt.jacobian = solver, jacobian
+            m.opt.iterations, m.opt.tolerance = iterations, tolerance
+            # A diverged state stays non-finite; MuJoCo would reset it to the initial state.
+            m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+            if sleep:
+                m.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+            return _Simulations(m, physics, n_objects, self.threads)
+
+        self._standard = simulations(None)
+        self._model = self._standard.model
+        self._others = KeptByShelf(simulations)
+
+    def rollout(
+        self,
+        start: World,
+        controls,
+        gripper,
+        substeps: int,
+        wanted=None,
+        shelf: Shelf | None = None,
+    ) -> Rollout:
         """See `Engine.rollout`; float64 arrays, nan where a rollout is not wanted."""
         start = World(*(np.asarray(x, np.float64) for x in start))
         controls, gripper = np.asarray(controls, np.float64), np.asarray(gripper, np.float64)
-        b, t, n = len(controls), controls.shape[1], self.n_objects
-        out = Rollout(
-            objects=np.full((b, t, n, 2), np.nan),
-            hand=np.full((b, t, 3), np.nan),
-            velocities=np.full((b, n, 2), np.nan),
-            force=np.zeros((b, t, MAX_CONTACTS)),
-            bodies=np.zeros((b, t, MAX_CONTACTS, 2), np.int32),
-        )
+        wanted = np.ones(len(controls), bool) if wanted is None else np.array(wanted, bool)
+        if shelf is None:
+            return self._standard.rollout(start, controls, gripper, substeps, wanted)
+        out = _nothing(len(controls), controls.shape[1], self.n_objects)
+        groups: dict[_Simulations, list[int]] = {}
+        for i in np.flatnonzero(wanted):
+            groups.setdefault(self._others.of(shelf, int(i)), []).append(int(i))
+        for simulations, mine in groups.items():
+            begin = World._make([x[mine] for x in start])
+            done = simulations.rollout(begin, controls[mine], gripper[mine], substeps, wanted[mine])
+            for whole, part in zip(out, done, strict=True):
+                whole[mine] = part
+        return out
+
+
+class _Simulations:
+    """Simulations of one model, as many as a call has rollouts."""
+
+    def __init__(
+        self, compiled: mujoco.MjModel, physics: Physics, n_objects: int, threads: int
+    ) -> None:
+        self.model, self._physics, self._n_objects = compiled, physics, n_objects
+        self._threads = threads
+        self._hand_geoms = model.hand_geoms(compiled)
+        self._bodies = model.geom_bodies(compiled, n_objects)
+        self._batches: dict[int, Batch] = {}
+        self._scratch = mujoco.MjData(compiled)
+
+    def rollout(
+        self,
+        start: World,
+        controls: np.ndarray,
+        gripper: np.ndarray,
+        substeps: int,
+        wanted: np.ndarray,
+    ) -> Rollout:
+        b, t, n = len(controls), controls.shape[1], self._n_objects
+        out = _nothing(b, t, n)
         batch = self._batch(b)
         base, dofs = model.HAND_DOFS, model.KINEMATIC_DOFS
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
         qpos[:, :base], qpos[:, dofs:] = start.hand, start.objects.reshape(b, -1)
         qvel[:, dofs:] = start.velocities.reshape(b, -1)
-        alive = np.ones(b, bool) if wanted is None else np.array(wanted, bool)
+        alive = wanted.copy()
         before = start.gripper.copy()
         for k in range(t):
             target = gripper[:, k]
@@ -78,7 +121,7 @@ class NativeEngine:
                 if s == 0 or (target != before).any():
                     now = before + (target - before) * s / substeps
                     self._pose_fingers(batch, now)
-                    speeds = model.kinematic_velocity(controls[:, k].T, now, self.physics).T
+                    speeds = model.kinematic_velocity(controls[:, k].T, now, self._physics).T
                 qpos[alive, base:dofs] = 0.0
                 qvel[alive, :dofs] = speeds[alive]
                 batch.step(np.flatnonzero(alive))
@@ -96,7 +139,7 @@ class NativeEngine:
     def _batch(self, size: int) -> Batch:
         if size not in self._batches:
             # Sleeping needs each simulation's own data to persist between steps.
-            batch = Batch(self._model, size, nthread=self.threads, persistent=True)
+            batch = Batch(self.model, size, nthread=self._threads, persistent=True)
             batch.expand("geom_pos")
             batch.expand("geom_quat")
             self._batches[size] = batch
@@ -116,6 +159,18 @@ class NativeEngine:
         d = batch.get_data(i, self._scratch)
         wrench = np.zeros(6)
         for c in range(min(d.ncon, len(force))):
-            mujoco.mj_contactForce(self._model, d, c, wrench)
+            mujoco.mj_contactForce(self.model, d, c, wrench)
             force[c] = np.linalg.norm(wrench[:3])
             bodies[c] = self._bodies[d.contact.geom[c]]
+
+
+def _nothing(b: int, t: int, n: int) -> Rollout:
+    """A rollout of nothing: nan, without contacts."""
+    c = contact_slots(n)
+    return Rollout(
+        objects=np.full((b, t, n, 2), np.nan),
+        hand=np.full((b, t, 3), np.nan),
+        velocities=np.full((b, n, 2), np.nan),
+        force=np.zeros((b, t, c)),
+        bodies=np.zeros((b, t, c, 2), np.int32),
+    )

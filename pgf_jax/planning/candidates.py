@@ -11,7 +11,9 @@ import jax
 import numpy as np
 
 from pgf_jax.physics.engine import Rollout
-from pgf_jax.planning.planner import BatchPlanner, Rolled, Search
+from pgf_jax.planning import padding
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Rolled, Search
 
 MOST_CHECKS = 3  # of one iteration
 
@@ -51,6 +53,7 @@ class Candidates(NamedTuple):
         """
         i = self.next
         assert i is not None
+        seen = padding.pad_rollout(seen, self.rolled.rollout.objects.shape[-2])
         done = self._replace(checks=self.checks + 1, open=_with(self.open, i, False))
         if grasped:
             return done._replace(passed=i)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from pgf_jax.physics import hand
 from pgf_jax.physics.engine import Array, Rollout
 from pgf_jax.planning.config import Cost
-from pgf_jax.scene.scene import BACK_WALL_X, SIDE_WALL_Y
+from pgf_jax.scene.shelf import BACK_WALL_X, RADIUS, SIDE_WALL_Y, Shelf
 
 SIDE_WALLS_FROM_X = 0.20  # m, where the shelf begins
 
@@ -78,12 +78,26 @@ def force_cost(force: jax.Array, bodies: jax.Array, n_objects: int, cost: Cost) 
     return (times * jnp.where(jnp.isfinite(force), over, cost.force_not_finite)).sum(-1)
 
 
-def touches_shelf(hand_pose: jax.Array, gripper: jax.Array) -> jax.Array:
+def beyond_standard(shelf: Shelf | None, objects: Array = slice(None)) -> Array:
+    """How much larger objects are than standard ones, m: lengths measured on those grow by it.
+
+    Args:
+      shelf: None: all are standard, and 0.0 is the result.
+      objects: numbers of objects.
+    """
+    return 0.0 if shelf is None else jnp.asarray(shelf.radius)[objects] - RADIUS
+
+
+def touches_shelf(
+    hand_pose: jax.Array, gripper: jax.Array, shelf: Shelf | None = None
+) -> jax.Array:
     """Whether any capsule of the hand overlaps a wall: [3], [] -> [] bool."""
+    back_x = BACK_WALL_X if shelf is None else shelf.back_x
+    side_y = SIDE_WALL_Y if shelf is None else shelf.side_y
     segments = hand.capsule_segments(gripper, jnp) @ rotation(hand_pose[2]).T
     segments += hand_pose[None, None, :2]
     a, b, radii = segments[:, 0], segments[:, 1], jnp.asarray(hand.RADII)
-    back = jnp.maximum(a[:, 0], b[:, 0]) + radii > BACK_WALL_X
+    back = jnp.maximum(a[:, 0], b[:, 0]) + radii > back_x
 
     # Only a part inside the shelf can touch its sides: clip each axis to x >= the shelf's front.
     def inside(p, q):
@@ -94,42 +108,52 @@ def touches_shelf(hand_pose: jax.Array, gripper: jax.Array) -> jax.Array:
 
     a, b = inside(a, b), inside(b, a)
     entered = jnp.maximum(a[:, 0], b[:, 0]) >= SIDE_WALLS_FROM_X
-    side = jnp.maximum(jnp.abs(a[:, 1]), jnp.abs(b[:, 1])) + radii > SIDE_WALL_Y
+    side = jnp.maximum(jnp.abs(a[:, 1]), jnp.abs(b[:, 1])) + radii > side_y
     return (back | (entered & side)).any()
 
 
-def evaluate(rollout: Rollout, gripper: jax.Array, task: Task, cost: Cost) -> Evaluation:
+def evaluate(
+    rollout: Rollout, gripper: jax.Array, task: Task, cost: Cost, shelf: Shelf | None = None
+) -> Evaluation:
     """Evaluate one rollout: its cost terms, and whether it is feasible.
+
+    Lengths of the cost are those of standard objects; an object that is larger by some millimetres
+    has them longer by as much, and the walls' edges closer.
 
     Args:
       rollout: unbatched ([T, N, 2] objects and so on).
       gripper: [T] values at knot ends.
       task: the segment's task.
       cost: weights; static.
+      shelf: unbatched; None: standard.
     """
     n = rollout.objects.shape[1]
     last, pose = rollout.objects[-1], rollout.hand[-1]
     each = jnp.arange(n)
     d = reach_distance(pose, last, cost)  # [N]
+    goal_radius = cost.goal_radius + beyond_standard(shelf, task.goal)
+    blocking_radius = cost.blocking_radius + beyond_standard(shelf)
     ee_to_goal = jnp.linalg.norm(end_effector(pose) - last[task.goal])
 
     if cost.variant == "paper":
         c_d = cost.w_d * ee_to_goal
     else:
-        c_d = jnp.where(d[task.goal] < cost.goal_radius, 1.0, cost.w_d) * d[task.goal]
+        c_d = jnp.where(d[task.goal] < goal_radius, 1.0, cost.w_d) * d[task.goal]
     to_target = jnp.linalg.norm(last[task.pushed] - task.target)
     c_h = jnp.where(to_target < cost.target_radius, 1.0, cost.w_h) * to_target
 
     exempt = jnp.where(task.pushing, task.pushed, task.goal)
-    c_b = jnp.where((d < cost.blocking_radius) & (each != exempt), cost.w_b + d, 0.0).sum()
+    c_b = jnp.where((d < blocking_radius) & (each != exempt), cost.w_b + d, 0.0).sum()
     c_f = force_cost(rollout.force, rollout.bodies, n, cost).sum()
     if cost.variant == "paper":
         c_e = c_s = jnp.zeros(())
     else:
-        low, high = jnp.asarray([cost.edge_x, cost.edge_y]).T  # [2] each
-        beyond = (rollout.objects < low[None, None]) | (rollout.objects > high[None, None])
+        low, high = _edges(cost, shelf)
+        beyond = (rollout.objects < low) | (rollout.objects > high)
         c_e = cost.w_edge * beyond.sum(dtype=jnp.float32)
-        touching = jax.vmap(touches_shelf)(rollout.hand, gripper)
+        touching = jax.vmap(lambda pose, grip: touches_shelf(pose, grip, shelf))(
+            rollout.hand, gripper
+        )
         c_s = cost.w_static * touching.sum(dtype=jnp.float32)
 
     terms = jnp.stack([jnp.where(task.pushing, c_h, c_d), c_f, c_b, c_e, c_s]).astype(jnp.float32)
@@ -137,6 +161,20 @@ def evaluate(rollout: Rollout, gripper: jax.Array, task: Task, cost: Cost) -> Ev
     finite &= jnp.isfinite(rollout.objects).all() & jnp.isfinite(rollout.hand).all()
     total = jnp.where(finite, terms.sum(), jnp.inf)
     distance = jnp.where(task.pushing, to_target, d[task.goal])
-    arrived = distance < jnp.where(task.pushing, cost.target_radius, cost.goal_radius)
+    arrived = distance < jnp.where(task.pushing, cost.target_radius, goal_radius)
     cheap = (c_b == 0) | task.pushing if cost.variant == "paper" else total <= cost.feasible_cost
     return Evaluation(total, terms, distance, arrived & cheap & finite, finite)
+
+
+def _edges(cost: Cost, shelf: Shelf | None) -> tuple[jax.Array, jax.Array]:
+    """Where centres of objects may be: lowest and highest (x, y), [1, 1 or N, 2] each."""
+    low, high = jnp.asarray([cost.edge_x, cost.edge_y]).T
+    if shelf is None:
+        return low[None, None], high[None, None]
+    more = beyond_standard(shelf)
+    back, side = shelf.back_x - BACK_WALL_X, shelf.side_y - SIDE_WALL_Y
+    front = jnp.full_like(more, low[0])  # the table's edge: what counts there is the centre
+    return (
+        jnp.stack([front, low[1] - side + more], -1)[None],
+        jnp.stack([high[0] + back - more, high[1] + side - more], -1)[None],
+    )

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 from pgf_jax.physics import hand
 from pgf_jax.physics.config import Physics
 from pgf_jax.planning.config import Cost
-from pgf_jax.planning.cost import end_effector, reach_distance, rotation, wrap
+from pgf_jax.planning.cost import beyond_standard, end_effector, reach_distance, rotation, wrap
+from pgf_jax.scene.shelf import Shelf
 
 REACH_SHORT = 0.04  # m, where a reach nominal stops before the goal
 OPEN_WITHIN = 0.15  # m, d(goal) under which the hand is open throughout
@@ -23,7 +24,12 @@ def _follow(pose: jax.Array, waypoints: jax.Array, yaws: jax.Array, physics: Phy
 
 
 def reach(
-    pose: jax.Array, objects: jax.Array, goal: jax.Array, physics: Physics, cost: Cost
+    pose: jax.Array,
+    objects: jax.Array,
+    goal: jax.Array,
+    physics: Physics,
+    cost: Cost,
+    shelf: Shelf | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """Nominal of a reach: straight to 0.04 m short of the goal, turning by half its angle.
 
@@ -37,6 +43,7 @@ def reach(
       goal: [] index of the goal.
       physics: static; gives T and the knot's duration.
       cost: static; gives d(goal).
+      shelf: unbatched; None: standard. Distances to a larger object are larger.
 
     Returns:
       [T, 3] velocities and [T] gripper values.
@@ -44,7 +51,7 @@ def reach(
     t = physics.knots
     ee, to = end_effector(pose), objects[goal] - end_effector(pose)
     length = jnp.linalg.norm(to)
-    travel = to / length * (length - REACH_SHORT)
+    travel = to / length * (length - (REACH_SHORT + beyond_standard(shelf, goal)))
     seen = objects[goal] - pose[:2]
     turn = 0.5 * wrap(jnp.arctan2(seen[1], seen[0]) - pose[2] - hand.POINTING_YAW)
     yaws = jnp.linspace(pose[2], pose[2] + turn, t + 1)[1:]
@@ -56,7 +63,12 @@ def reach(
 
 
 def push(
-    pose: jax.Array, objects: jax.Array, pushed: jax.Array, target: jax.Array, physics: Physics
+    pose: jax.Array,
+    objects: jax.Array,
+    pushed: jax.Array,
+    target: jax.Array,
+    physics: Physics,
+    shelf: Shelf | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """Nominal of a push: half the knots to behind the object, half towards the target.
 
@@ -66,7 +78,9 @@ def push(
     t = physics.knots
     o = objects[pushed]
     along = (target - o) / jnp.maximum(jnp.linalg.norm(target - o), 1e-6)
-    ee, behind, stop = end_effector(pose), o - PUSH_BEHIND * along, target - PUSH_SHORT * along
+    more = beyond_standard(shelf, pushed)
+    ee = end_effector(pose)
+    behind, stop = o - (PUSH_BEHIND + more) * along, target - (PUSH_SHORT + more) * along
     first, second = t // 2, t - t // 2
     waypoints = jnp.concatenate(
         [

@@ -2,11 +2,11 @@
 
 A search goes init -> propose -> roll out -> absorb, until its best trajectory is feasible.
 Functions are written for one robot and vmapped over L lanes at the edge; an engine does the physics
-in between. A `Search` is one segment's state, a pytree of arrays; nothing in it is mutated.
+in between. A `Search` (`search.py`) is one segment's state; nothing in it is mutated.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,50 +14,23 @@ import numpy as np
 
 from pgf_jax.errors import BadInput
 from pgf_jax.physics import hand
-from pgf_jax.physics.engine import MAX_CONTACTS, Array, Engine, Rollout, World
+from pgf_jax.physics.engine import Array, Engine, Rollout, World, contact_slots, takes_shelves
 from pgf_jax.physics.hand import RETREAT_M, RETREAT_S
-from pgf_jax.planning import arrays, nominal
+from pgf_jax.physics.sized import SizedEngine
+from pgf_jax.planning import arrays, nominal, padding
 from pgf_jax.planning.config import Planner as Config
 from pgf_jax.planning.cost import Evaluation, Task, evaluate
+from pgf_jax.planning.search import HISTORY, Rolled, Search, asked
 from pgf_jax.planning.types import Push
+from pgf_jax.scene.shelf import MASS, RADIUS, Shelf
 
-HISTORY = 3  # P: cost terms of the best after each of the last P iterations
 WINNER = 1  # folded into an iteration's key for the draw of a random winner, apart from the noise
-
-
-class Search(NamedTuple):
-    """State of one segment's search. Shapes are one robot's; the planner stacks them over lanes."""
-
-    start: World  # where every rollout of the segment starts: [N, 2], [N, 2], [3], []
-    task: Task
-    gripper: Array  # [T], fixed with the nominal
-    controls: Array  # [T, 3] of the best so far (at first the nominal)
-    best: Rollout  # of the best so far: [T, N, 2] and so on
-    value: Evaluation  # of the best so far
-    iteration: Array  # [] int32, done in this segment, the nominal's not counted: -1 before it
-    last_cost: Array  # [] c_(i-1); c_0 counts as 0
-    stuck_count: Array  # [] int32, n
-    history: Array  # [P, 3] (c_d, c_f, c_b) of the best, latest last; nan where none yet
-    non_finite: Array  # [] int32, rollouts of this segment whose cost was not finite
-    saturated: Array  # [] int32, rollouts with a knot end at which no contact slot was free
-
-
-class Rolled(NamedTuple):
-    """All rollouts of one iteration of one search.
-
-    R is K (the noisy trajectories), and 1 at iteration 0 (the nominal); the update `stomp` adds one
-    more, the last: their blend.
-    """
-
-    controls: Array  # [R, T, 3]
-    rollout: Rollout  # [R, T, N, 2] and so on
-    value: Evaluation  # [R] and so on
 
 
 class BatchPlanner:
     """Plans for up to L robots in one call; no lane's content changes another lane's result."""
 
-    def __init__(self, engine: Engine, config: Config | None = None) -> None:
+    def __init__(self, engine: Engine | SizedEngine, config: Config | None = None) -> None:
         self.engine, self.config = engine, config or Config()
         self._init_reach = jax.jit(self._reach)
         self._init_push = jax.jit(self._push)
@@ -73,22 +46,47 @@ class BatchPlanner:
 
     # -- segments ---------------------------------------------------------------------------------
 
-    def begin_reach(self, world: World, goal: int) -> Search:
-        """Start a reach segment from `world` (unbatched); nothing is rolled out yet."""
-        return arrays.to_host(self._init_reach(arrays.as_float32(world), np.int32(goal)))
+    def begin_reach(self, world: World, goal: int, shelf: Shelf | None = None) -> Search:
+        """Start a reach segment; nothing is rolled out yet.
 
-    def begin_push(self, world: World, goal: int, push: Push) -> Search:
-        """Start a push segment from `world` (unbatched)."""
-        if not 0 <= push.object < self.engine.n_objects:
-            raise BadInput(
-                f"push: object must be within 0..{self.engine.n_objects - 1}, got {push.object}"
-            )
+        Args:
+          world: unbatched.
+          goal: index of the object to reach.
+          shelf: unbatched; None: standard.
+
+        Raises:
+          BadInput: the engine simulates standard objects only.
+        """
+        world, shelf = self._padded(world, shelf)
+        return arrays.to_host(self._init_reach(world, np.int32(goal), shelf))
+
+    def begin_push(self, world: World, goal: int, push: Push, shelf: Shelf | None = None) -> Search:
+        """Start a push segment; other arguments and errors are as of `begin_reach`."""
+        n = padding.count(shelf, len(world.objects))
+        if not 0 <= push.object < n:
+            raise BadInput(f"push: object must be within 0..{n - 1}, got {push.object}")
         target = np.array([push.x, push.y], np.float32)
         if not np.isfinite(target).all():
             raise BadInput(f"push: target must be finite numbers, got ({push.x}, {push.y})")
+        world, shelf = self._padded(world, shelf)
         return arrays.to_host(
-            self._init_push(arrays.as_float32(world), np.int32(goal), np.int32(push.object), target)
+            self._init_push(world, np.int32(goal), np.int32(push.object), target, shelf)
         )
+
+    def _padded(self, world: World, shelf: Shelf | None) -> tuple[World, Shelf | None]:
+        """World and shelf with as many places as their program has."""
+        n = len(world.objects) if shelf is None else len(np.asarray(shelf.radius))
+        engine = self.engine
+        if isinstance(engine, SizedEngine):
+            n = n if shelf is None else engine.places(n)
+            engine = engine.of(n)
+        world, shelf = padding.pad(world, shelf, n)
+        if shelf is not None and not takes_shelves(engine):
+            raise BadInput(
+                f"engine {engine.name}: simulates cylinders of {RADIUS} m and {MASS:g} kg on "
+                "the standard shelf only, got a scene with others"
+            )
+        return arrays.as_float32(world), arrays.as_float32(shelf)
 
     def go_on(self, search: Search) -> Search:
         """Keep the trajectory, clear the stuck counter (a departure: the source restarts)."""
@@ -128,7 +126,7 @@ class BatchPlanner:
         count = len(pairs)
         controls, rollouts = (arrays.unstack(arrays.to_host(x), count) for x in rounds[-1])
         return [
-            (after, _asked(before, Rolled(c, rollout, value)))
+            (after, asked(before, Rolled(c, rollout, value)))
             for before, (after, value), c, rollout in zip(
                 searches, pairs, controls, rollouts, strict=True
             )
@@ -157,7 +155,7 @@ class BatchPlanner:
         (after,), rounds = self._iterate([search], [key])
         batch = arrays.stack(arrays.pad([search], self.engine.lanes))
         parts = [
-            _asked(
+            asked(
                 search,
                 jax.tree.map(lambda x: np.asarray(x)[0], Rolled(c, r, self._value(batch, r))),
             )
@@ -202,7 +200,8 @@ class BatchPlanner:
         lanes, k, physics = self.engine.lanes, self.config.rollouts, self.engine.physics
         substeps = round(RETREAT_S / physics.substep_s / physics.knots)
         duration = substeps * physics.knots * physics.substep_s
-        start, velocity = self._retreat(arrays.stack(arrays.pad(searches, lanes)))
+        batch = arrays.stack(arrays.pad(searches, lanes))
+        start, velocity = self._retreat(batch)
         controls = np.asarray(velocity)[:, None, None] * (RETREAT_M / duration)
         controls = np.broadcast_to(controls, (lanes, k, physics.knots, 3))
         gripper = np.broadcast_to(
@@ -211,8 +210,13 @@ class BatchPlanner:
         # The same batch shape as an iteration's, so that no second program is compiled.
         start = jax.tree.map(lambda x: np.repeat(np.asarray(x), k, 0), start)
         used = (np.arange(lanes)[:, None] < len(searches)) & (np.arange(k) == 0)
-        out = self.engine.rollout(
-            start, arrays.flat(controls), arrays.flat(gripper), substeps, arrays.flat(used)
+        out = self._rollout(
+            start,
+            arrays.flat(controls),
+            arrays.flat(gripper),
+            substeps,
+            arrays.flat(used),
+            batch.shelf,
         )
         out = jax.tree.map(lambda x: np.asarray(x, np.float32)[::k], out._replace(bodies=out.force))
         worlds = World(out.objects[:, -1], out.velocities, out.hand[:, -1], start.gripper[::k])
@@ -223,17 +227,29 @@ class BatchPlanner:
         lanes, k = wanted.shape
         start = jax.tree.map(lambda x: np.repeat(np.asarray(x), k, 0), batch.start)
         gripper = np.repeat(np.asarray(batch.gripper), k, 0)
-        substeps = self.engine.physics.substeps
-        out = self.engine.rollout(
-            start, arrays.flat(controls), gripper, substeps, arrays.flat(wanted)
-        )
+        substeps, wanted = self.engine.physics.substeps, arrays.flat(wanted)
+        out = self._rollout(start, arrays.flat(controls), gripper, substeps, wanted, batch.shelf)
         return jax.tree.map(lambda x: x.reshape(lanes, k, *x.shape[1:]), arrays.as_float32(out))
+
+    def _rollout(self, start, controls, gripper, substeps, wanted, shelf: Shelf | None) -> Rollout:
+        """Roll out on standard shelves, or on one for each of the L lanes."""
+        if shelf is None:
+            return self.engine.rollout(start, controls, gripper, substeps, wanted)
+        each = len(controls) // self.engine.lanes
+        shelves = jax.tree.map(lambda x: np.repeat(np.asarray(x), each, 0), shelf)
+        return self.engine.rollout(start, controls, gripper, substeps, wanted, shelf=shelves)  # pyright: ignore[reportCallIssue]
 
     # -- one robot, traced ------------------------------------------------------------------------
 
-    def _begin(self, start: World, task: Task, controls: jax.Array, gripper: jax.Array) -> Search:
-        t, n = self.engine.physics.knots, self.engine.n_objects
-        c = MAX_CONTACTS
+    def _begin(
+        self,
+        start: World,
+        task: Task,
+        controls: jax.Array,
+        gripper: jax.Array,
+        shelf: Shelf | None,
+    ) -> Search:
+        t, n, c = self.engine.physics.knots, len(start.objects), contact_slots(len(start.objects))
         return Search(
             start=start,
             task=task,
@@ -259,21 +275,22 @@ class BatchPlanner:
             history=jnp.full((HISTORY, 3), jnp.nan),
             non_finite=jnp.int32(0),
             saturated=jnp.int32(0),
+            shelf=shelf,
         )
 
-    def _reach(self, start: World, goal: jax.Array) -> Search:
+    def _reach(self, start: World, goal: jax.Array, shelf: Shelf | None) -> Search:
         task = Task(goal, jnp.array(False), goal, start.objects[goal])
         controls, gripper = nominal.reach(
-            start.hand, start.objects, goal, self.engine.physics, self.config.cost
+            start.hand, start.objects, goal, self.engine.physics, self.config.cost, shelf
         )
-        return self._begin(start, task, controls, gripper)
+        return self._begin(start, task, controls, gripper, shelf)
 
-    def _push(self, start: World, goal, pushed, target) -> Search:
+    def _push(self, start: World, goal, pushed, target, shelf: Shelf | None) -> Search:
         task = Task(goal, jnp.array(True), pushed, target)
         controls, gripper = nominal.push(
-            start.hand, start.objects, pushed, target, self.engine.physics
+            start.hand, start.objects, pushed, target, self.engine.physics, shelf
         )
-        return self._begin(start, task, controls, gripper)
+        return self._begin(start, task, controls, gripper, shelf)
 
     def _propose_one(self, search: Search, key: jax.Array) -> jax.Array:
         """[K, T, 3] noisy trajectories from the best so far; K times the nominal at iteration 0."""
@@ -283,7 +300,7 @@ class BatchPlanner:
 
     def _evaluate(self, search: Search, rollout: Rollout) -> Evaluation:
         def one(rollout: Rollout) -> Evaluation:
-            return evaluate(rollout, search.gripper, search.task, self.config.cost)
+            return evaluate(rollout, search.gripper, search.task, self.config.cost, search.shelf)
 
         return jax.vmap(one)(rollout)
 
@@ -381,19 +398,3 @@ class BatchPlanner:
         world = World(end.objects[-1], end.velocities, end.hand[-1], search.gripper[-1])
         yaw = world.hand[2] + hand.POINTING_YAW
         return world, jnp.stack([-jnp.cos(yaw), -jnp.sin(yaw), jnp.zeros(())])
-
-
-def start_world(positions: np.ndarray) -> World:
-    """World at a task's start: robot at (0, 0, 0), hand open, objects ([N, 2], m) at rest."""
-    n = len(positions)
-    return World(
-        np.asarray(positions, np.float32),
-        np.zeros((n, 2), np.float32),
-        np.zeros(3, np.float32),
-        np.float32(0),
-    )
-
-
-def _asked(search: Search, rolled: Rolled) -> Rolled:
-    """The rollouts of an iteration that are wanted: all, but of the nominal's only the first."""
-    return jax.tree.map(lambda x: x[: 1 if search.iteration < 0 else None], rolled)

@@ -154,9 +154,10 @@ class PlanCommand:
     A scene that is not solved has a plan too: the best one that was found.
 
     Attributes:
-      scene: scene files (the authors' published MJCF) to plan; object_3 is the goal.
+      scene: scene files to plan: one's own (*.json), or the authors' published MJCF (*.xml), in
+        which object_3 is the goal.
       scene_class: sample scenes of this class instead of reading files: tight, medium or wide;
-        None: the files' scenes.
+        crowded, packed (36 and 44 objects), mixed (of different sizes); None: the files' scenes.
       seed: seed of the noise; with --scene-class also of the first scene, and the next scenes count
         on from there.
       count: how many scenes to sample.

@@ -17,7 +17,7 @@ from pgf_jax.physics.worlds.config import world_error_of
 from pgf_jax.physics.worlds.world import Command, Executed, State, World3D
 from pgf_jax.plans.config import ExecuteConfig
 from pgf_jax.plans.file import Plan
-from pgf_jax.scene.mjcf import load_scene
+from pgf_jax.scene.load import load_scene
 from pgf_jax.scene.scene import Scene
 from pgf_jax.settings import check_type
 from pgf_jax.simulation.task_worlds import TaskWorlds, WorldSpec

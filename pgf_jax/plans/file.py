@@ -20,6 +20,7 @@ from pgf_jax.plans.config import PlanConfig
 from pgf_jax.plugins.registry import plugins_record
 from pgf_jax.provenance import environment
 from pgf_jax.scene.draw import draw_scene
+from pgf_jax.scene.file import scene_from_json, scene_to_json
 from pgf_jax.scene.scene import Scene
 from pgf_jax.settings import check_path, check_type, stored_settings
 from pgf_jax.simulation.loop import PlannedFleet
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 TERMS = ("c_d", "c_f", "c_b", "c_e", "c_s")
 SUFFIX = ".plan.json"
 _LARGEST = 16 * MIB  # of a file; a plan takes some 100 kB
+_SCENE = "scene_file"  # where objects or shelf are not standard: the scene as its own file has it
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -169,12 +171,14 @@ class Plan:
     def to_json(self) -> dict[str, Any]:
         """The content of the plan's file."""
         plain = {field: getattr(self, field) for field in _PLAIN}
+        own = {} if self.scene.shelf is None else {_SCENE: scene_to_json(self.scene)}
         return {
             "scene": self.scene.name,
             "status": str(self.status),
             **plain,
             "objects": self.scene.objects.tolist(),
             "goal": self.scene.goal,
+            **own,
             "segments": [
                 {
                     "kind": segment.kind,
@@ -286,9 +290,17 @@ def _from_json(content: Any) -> Plan:
         plain[field] = _seconds(content, field)
         if not 0.0 <= plain[field] < math.inf:
             raise BadInput(f"{field}: expected seconds, 0 or more, got {plain[field]}")
-    scene = Scene(
-        _get(content, "scene", str), _get(content, "objects", list), _get(content, "goal", int)
-    )
+    name, objects = _get(content, "scene", str), _get(content, "objects", list)
+    goal = _get(content, "goal", int)
+    if _SCENE in content:
+        try:
+            scene = scene_from_json(content[_SCENE])
+        except BadInput as error:
+            raise BadInput(f"{_SCENE}: {error}") from None
+        if (scene.name, scene.goal, scene.objects.tolist()) != (name, goal, objects):
+            raise BadInput(f"{_SCENE}: expected the plan's scene, objects and goal, got others")
+    else:
+        scene = Scene(name, objects, goal)
     segments = tuple(
         _segment(segment, f"segments[{i}]")
         for i, segment in enumerate(_get(content, "segments", list))

@@ -9,14 +9,17 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet.records import State
 from pgf_jax.physics import hand
 from pgf_jax.physics.config import Physics, physics_of
-from pgf_jax.physics.engine import Engine, World, make_engine
+from pgf_jax.physics.engine import World
 from pgf_jax.physics.hand import RETREAT_M, RETREAT_S
+from pgf_jax.physics.sized import SizedEngine
 from pgf_jax.physics.worlds.world import State as WorldState
-from pgf_jax.planning.planner import start_world
+from pgf_jax.planning import padding
+from pgf_jax.planning.search import start_world
 from pgf_jax.planning.types import Push
 from pgf_jax.plans.config import ExecuteConfig
 from pgf_jax.plans.execute import segments_executed, world_of
 from pgf_jax.plans.file import Plan
+from pgf_jax.scene.shelf import Shelf
 from pgf_jax.simulation.snapshot import RobotSnapshot, end_effector
 
 # Most parts that a knot is simulated in. With one part, objects drawn between the ends of a knot
@@ -109,10 +112,12 @@ class Motion:
 
     def _rolled_out(self, plan: Plan) -> list[_Rows]:
         """Roll the plan out by its engine."""
-        engine = make_engine(
-            plan.engine, physics=_physics(plan), n_objects=len(plan.scene.objects), lanes=1
+        engine, n = SizedEngine.of_name(plan.engine, _physics(plan), 1), len(plan.scene.objects)
+        world, shelf = padding.pad(
+            start_world(plan.scene.positions),
+            plan.scene.shelf,
+            n if plan.scene.shelf is None else engine.places(n),
         )
-        world = start_world(plan.scene.positions)
         rows = [_rows(np.zeros(1), world)]
         for segment in plan.segments:
             begins = float(rows[-1][0][-1])
@@ -120,16 +125,17 @@ class Motion:
             before = world
             knot_s = segment.duration_s / len(segment.controls)
             substeps = max(round(knot_s / engine.physics.substep_s), 1)
-            world, done = _roll(engine, world, segment.controls, segment.gripper, substeps, begins)
+            controls = (segment.controls, segment.gripper)
+            world, done = _roll(engine, shelf, world, *controls, substeps, begins)
             rows.append(done)
             at_knots = np.linspace(0, len(done[0]), len(segment.controls) + 1).astype(int)
             self._knots.append(np.concatenate([before.hand[None], done[2]])[at_knots])
             push = segment.kind == "push"
             self._pushes.append(_pushed(before.objects, world.objects) if push else None)
             if push:
-                world, done = _retreat(engine, world, float(done[0][-1]))
+                world, done = _retreat(engine, shelf, world, float(done[0][-1]))
                 rows.append(done)
-        return rows
+        return [(at, seen[:, :n], pose, grip, lean) for at, seen, pose, grip, lean in rows]
 
     @property
     def duration_s(self) -> float:
@@ -175,6 +181,7 @@ class Motion:
             done=(plan.status,) if over else (),
             origins=plan.scene.positions,
             leaning=between(self.leaning),
+            shelf=plan.scene.shelf,
         )
 
     def end_effector_paths(self) -> list[np.ndarray]:
@@ -213,7 +220,8 @@ def _rows(times: np.ndarray, world: World, leaning: np.ndarray = _STAND) -> _Row
 
 
 def _roll(
-    engine: Engine,
+    engine: SizedEngine,
+    shelf: Shelf | None,
     start: World,
     controls: np.ndarray,
     gripper: np.ndarray,
@@ -225,11 +233,13 @@ def _roll(
     targets = np.concatenate([[start.gripper], gripper])
     shares = np.arange(1, parts + 1) / parts
     fingers = (targets[:-1, None] + np.diff(targets)[:, None] * shares).reshape(-1)
+    shelves = None if shelf is None else Shelf(*(np.asarray(x, np.float32)[None] for x in shelf))
     out = engine.rollout(
         World(*(np.asarray(value, np.float32)[None] for value in start)),
         np.repeat(controls, parts, axis=0).astype(np.float32)[None],
         fingers.astype(np.float32)[None],
         substeps // parts,
+        **({} if shelves is None else {"shelf": shelves}),
     )
     objects, poses, velocities = (
         np.asarray(a, np.float32)[0] for a in (out.objects, out.hand, out.velocities)
@@ -240,7 +250,9 @@ def _roll(
     return after, (times, objects, poses, fingers, np.empty((len(times), *_STAND.shape)))
 
 
-def _retreat(engine: Engine, start: World, begins_s: float) -> tuple[World, _Rows]:
+def _retreat(
+    engine: SizedEngine, shelf: Shelf | None, start: World, begins_s: float
+) -> tuple[World, _Rows]:
     """Simulate a straight retreat, as `BatchPlanner.retreat` does after a push."""
     physics = engine.physics
     substeps = round(RETREAT_S / physics.substep_s / physics.knots)
@@ -249,7 +261,7 @@ def _retreat(engine: Engine, start: World, begins_s: float) -> tuple[World, _Row
     speed = RETREAT_M / (substeps * physics.knots * physics.substep_s)
     controls = np.repeat((speed * back)[None], physics.knots, axis=0)
     still = np.full(physics.knots, start.gripper)
-    return _roll(engine, start, controls, still, substeps, begins_s)
+    return _roll(engine, shelf, start, controls, still, substeps, begins_s)
 
 
 def _pushed(before: np.ndarray, after: np.ndarray) -> Push:

@@ -85,24 +85,21 @@ def iter_plans(
     configure_early(config.engine)
     predictor = _load_predictor(config)
     world = WorldSpec.of(config.world, [scene for scene, _ in scenes])
-    sizes = sorted({len(scene.objects) for scene, _ in scenes})
-    for n_objects in sizes:  # an engine is compiled for one number of objects
-        planner_service = planner_service_of(config, n_objects)
-        fleets = [
-            single_robot(
-                planner_service,
-                scene,
-                config.fleet(seed),
-                operator=config.operator,
-                predictor=predictor,
-                world=world,
-                label=i,
-            )
-            for i, (scene, seed) in enumerate(scenes)
-            if len(scene.objects) == n_objects
-        ]
-        for done in run_fleets(fleets, planner_service):
-            yield done.label, Plan.from_task(config, scenes[done.label][1], done)
+    planner_service = planner_service_of(config)
+    fleets = [
+        single_robot(
+            planner_service,
+            scene,
+            config.fleet(seed),
+            operator=config.operator,
+            predictor=predictor,
+            world=world,
+            label=i,
+        )
+        for i, (scene, seed) in enumerate(scenes)
+    ]
+    for done in run_fleets(fleets, planner_service):
+        yield done.label, Plan.from_task(config, scenes[done.label][1], done)
 
 
 def _check_pair(pair: Any) -> None:

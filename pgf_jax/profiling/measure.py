@@ -19,9 +19,10 @@ from pgf_jax.cores import usable
 from pgf_jax.parallel.jax_settings import adopt
 from pgf_jax.physics.config import PHYSICS
 from pgf_jax.physics.engine import Engine, World, make_engine
-from pgf_jax.planning.planner import BatchPlanner, start_world
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import start_world
 from pgf_jax.plugins.registry import Plugin, require
-from pgf_jax.scene import PRESETS, Scene, sample_scene
+from pgf_jax.scene import PUBLISHED_CLASSES, Scene, sample_scene
 
 PEAK_SIZE, PEAK_TRIES = 512, 30  # of the matrices, and of their products
 
@@ -135,7 +136,10 @@ def rollouts(engine: Engine, seed: int) -> tuple[World, np.ndarray, np.ndarray]:
 
 
 def _scenes(engine: Engine, seed: int) -> list[Scene]:
-    return [sample_scene(seed + i, PRESETS[i % len(PRESETS)]) for i in range(engine.lanes)]
+    return [
+        sample_scene(seed + i, PUBLISHED_CLASSES[i % len(PUBLISHED_CLASSES)])
+        for i in range(engine.lanes)
+    ]
 
 
 def noisy_nominals(
@@ -148,7 +152,7 @@ def noisy_nominals(
     """
     planner = BatchPlanner(engine)
     k = planner.config.rollouts
-    searches = [planner.begin_reach(start_world(s.positions), s.goal) for s in scenes]
+    searches = [planner.begin_reach(start_world(s.positions), s.goal, s.shelf) for s in scenes]
 
     def repeat(of_scenes: Iterable[Any]) -> np.ndarray:
         return np.repeat(np.stack(list(of_scenes)), k, 0)

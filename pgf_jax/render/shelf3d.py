@@ -17,11 +17,10 @@ from PIL import ImageColor
 
 from pgf_jax.errors import BadInput
 from pgf_jax.physics import hand
-from pgf_jax.planning.types import Push
 from pgf_jax.render.paint import SHELF_ASPECT
 from pgf_jax.render.top import PUSH_COLOR
 from pgf_jax.scene.draw import CORRIDOR_OBJECT_COLOR, GOAL_COLOR, ROBOT_COLOR
-from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, HEIGHT, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene.shelf import BACK_WALL_X, FRONT_X, SIDE_WALL_Y
 from pgf_jax.simulation.snapshot import RobotSnapshot
 
 _SIDE, _WALL, _BOARD = 0.17, 0.012, 0.02  # height of the walls, thickness of walls and board, m
@@ -81,6 +80,7 @@ class View3d:
                 raise
             raise _no_egl() from error
         self._mujoco = mujoco
+        self._walls = (BACK_WALL_X, SIDE_WALL_Y)  # of the shelf in the model
         self._context: Any = None
         self._buffer = (0, 0)  # width and height of the drawing buffer, pixels
         atexit.register(self.close)  # the context must be freed before the display is
@@ -91,11 +91,12 @@ class View3d:
         if self._gl is None:
             raise RuntimeError("the view has been closed")
         self._gl.make_current()
-        self._enlarge_buffer(width, height)
+        self._prepare(width, height, (robot.back_x, robot.side_y))
         camera = mujoco.MjvCamera()
         camera.lookat[:] = _LOOK_AT
         # In a narrow picture the whole width of the shelf is seen from farther away.
-        camera.distance = _DISTANCE * max(1.0, SHELF_ASPECT * height / width)
+        wider = max(1.0, robot.side_y / SIDE_WALL_Y, robot.back_x / BACK_WALL_X)
+        camera.distance = _DISTANCE * wider * max(1.0, SHELF_ASPECT * height / width)
         camera.azimuth, camera.elevation = 0.0, _ELEVATION
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(
@@ -106,7 +107,7 @@ class View3d:
         moving.hand(robot)
         moving.path(robot)
         if robot.push is not None:
-            moving.push(robot.push, robot.objects[robot.push.object])
+            moving.push(robot)
         # Shadows take two thirds of the time in software, and are hardly seen in a small picture.
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW.value] = width >= _SHADOWS_FROM_PX
         picture = np.empty((height, width, 3), np.uint8)
@@ -126,17 +127,19 @@ class View3d:
         self._gl.free()
         self._gl = None
 
-    def _enlarge_buffer(self, width: int, height: int) -> None:
-        """Make the drawing buffer at least `width` x `height` pixels large."""
-        if width <= self._buffer[0] and height <= self._buffer[1]:
+    def _prepare(self, width: int, height: int, walls: tuple[float, float]) -> None:
+        """Have a drawing buffer of `width` x `height` pixels at least, and these walls."""
+        fits = width <= self._buffer[0] and height <= self._buffer[1]
+        if fits and walls == self._walls:
             return
+        self._walls = walls
         mujoco = self._mujoco
         if self._context is not None:
             self._context.free()
         least = (max(width, self._buffer[0]), max(height, self._buffer[1]))
         self._buffer = (-(-least[0] // _SPARE) * _SPARE, -(-least[1] // _SPARE) * _SPARE)
         self._model = mujoco.MjModel.from_xml_string(
-            _MODEL.format(width=self._buffer[0], height=self._buffer[1], boxes=_boxes())
+            _MODEL.format(width=self._buffer[0], height=self._buffer[1], boxes=_boxes(*walls))
         )
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
@@ -153,15 +156,15 @@ def _no_egl() -> BadInput:
     )
 
 
-def _boxes() -> str:
+def _boxes(back_x: float, side_y: float) -> str:
     """XML of the shelf: a board and three walls."""
-    depth, middle = (BACK_WALL_X - FRONT_X) / 2, (BACK_WALL_X + FRONT_X) / 2
+    depth, middle = (back_x - FRONT_X) / 2, (back_x + FRONT_X) / 2
     z, tall, thin = (_SIDE - _BOARD) / 2, (_SIDE + _BOARD) / 2, _WALL / 2
     boxes = [
-        ("wood", (middle, 0, -_BOARD / 2), (depth, SIDE_WALL_Y, _BOARD / 2)),
-        ("wall", (BACK_WALL_X + thin, 0, z), (thin, SIDE_WALL_Y + _WALL, tall)),
-        ("wall", (middle, SIDE_WALL_Y + thin, z), (depth, thin, tall)),
-        ("wall", (middle, -SIDE_WALL_Y - thin, z), (depth, thin, tall)),
+        ("wood", (middle, 0, -_BOARD / 2), (depth, side_y, _BOARD / 2)),
+        ("wall", (back_x + thin, 0, z), (thin, side_y + _WALL, tall)),
+        ("wall", (middle, side_y + thin, z), (depth, thin, tall)),
+        ("wall", (middle, -side_y - thin, z), (depth, thin, tall)),
     ]
     return "".join(
         f'<geom type="box" material="{material}" pos="{_numbers(pos)}" size="{_numbers(size)}"/>'
@@ -213,12 +216,14 @@ class _MovingGeoms:
     def objects(self, robot: RobotSnapshot) -> None:
         """Add the objects as cylinders, upright where nothing says how they lean."""
         pushed = None if robot.push is None else robot.push.object
-        standing = np.tile([HEIGHT / 2, 0.0, 0.0, 1.0], (len(robot.objects), 1))
+        standing = np.tile([0.0, 0.0, 0.0, 1.0], (len(robot.objects), 1))
+        standing[:, 0] = robot.heights / 2
         leaning = robot.leaning if len(robot.leaning) else standing
         for i, ((x, y), (z, *axis)) in enumerate(zip(robot.objects, leaning, strict=True)):
             color = CORRIDOR_OBJECT_COLOR if i == pushed else _OBJECT
             color = GOAL_COLOR if i == robot.goal else color
-            self._cylinder(x, y, z, RADIUS, HEIGHT / 2, color, turn=_along(np.array(axis)))
+            size = (robot.radii[i], robot.heights[i] / 2)
+            self._cylinder(x, y, z, *size, color, turn=_along(np.array(axis)))
 
     def hand(self, robot: RobotSnapshot) -> None:
         """Add the hand's capsules, extruded, and a wrist and a forearm behind them."""
@@ -246,16 +251,21 @@ class _MovingGeoms:
 
     def path(self, robot: RobotSnapshot) -> None:
         """Add the path of the end-effector point, above the objects."""
-        points = [(x, y, HEIGHT + 0.012) for x, y in robot.end_effector_path()]
+        above = robot.heights.max(initial=0.0) + 0.012
+        points = [(x, y, above) for x, y in robot.end_effector_path()]
         for a, b in itertools.pairwise(points):
             self._connect(self._type.mjGEOM_CAPSULE, 0.003, a, b, _PATH)
         for point in points:
             self._geom(self._type.mjGEOM_SPHERE, (0.006,) * 3, point, _PATH)
 
-    def push(self, push: Push, start: np.ndarray) -> None:
-        """Add the object once more, transparent, at its target, and an arrow to it."""
-        self._cylinder(push.x, push.y, HEIGHT / 2, RADIUS, HEIGHT / 2, CORRIDOR_OBJECT_COLOR, 0.4)
-        z = HEIGHT + 0.02
+    def push(self, robot: RobotSnapshot) -> None:
+        """Add the pushed object once more, transparent, at its target, and an arrow to it."""
+        push = robot.push
+        assert push is not None
+        start, half = robot.objects[push.object], robot.heights[push.object] / 2
+        size = (robot.radii[push.object], half)
+        self._cylinder(push.x, push.y, half, *size, CORRIDOR_OBJECT_COLOR, 0.4)
+        z = robot.heights.max() + 0.02
         a, b = (float(start[0]), float(start[1]), z), (push.x, push.y, z)
         if math.dist(a, b) > 1e-3:
             self._connect(self._type.mjGEOM_ARROW, 0.006, a, b, PUSH_COLOR)

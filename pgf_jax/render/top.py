@@ -1,18 +1,18 @@
 """Draws a shelf from above: x (into the shelf) points up, y points left, as in `scene.draw`."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from pgf_jax.physics import hand
-from pgf_jax.planning.types import Push
 from pgf_jax.render.paint import Canvas, Point
 from pgf_jax.scene.draw import CORRIDOR_OBJECT_COLOR, GOAL_COLOR, OBJECT_COLOR, ROBOT_COLOR
-from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene.shelf import BACK_WALL_X, FRONT_X, SIDE_WALL_Y
 from pgf_jax.simulation.snapshot import RobotSnapshot
 
-# Part of the plane that is always in the picture, m: the shelf, and the hand at its start.
-LOW_X, HIGH_X, HALF_WIDTH = -0.08, 0.615, 0.425
+# m: the hand at its start is always in the picture, and what is behind and beside the walls.
+LOW_X, _BEHIND, _BESIDE = -0.08, 0.025, 0.025
 
 PUSH_COLOR = "#c8500a"
 MOVED = 0.002  # m, smallest displacement that is drawn
@@ -25,30 +25,39 @@ _WALL_M = 0.012
 _NUMBERS_FROM_PX = 9  # smallest radius of an object that its number is written on
 
 
-def pixels_per_metre(width: int, height: int) -> float:
-    """Scale of a picture of `width` x `height` pixels."""
-    return min(width / (2 * HALF_WIDTH), height / (HIGH_X - LOW_X))
+class Frame(NamedTuple):
+    """A picture of a shelf: its size in pixels, and the walls that are in it, m."""
 
+    width: int
+    height: int
+    back_x: float = BACK_WALL_X
+    side_y: float = SIDE_WALL_Y
 
-def project(x: float, y: float, width: int, height: int) -> Point:
-    """Pixel of a point (m) of the plane: distance from the left and from the top of the picture."""
-    scale = pixels_per_metre(width, height)
-    return width / 2 - y * scale, height / 2 - (x - (LOW_X + HIGH_X) / 2) * scale
+    @property
+    def pixels_per_metre(self) -> float:
+        """Scale of the picture."""
+        half, high = self.side_y + _BESIDE, self.back_x + _BEHIND
+        return min(self.width / (2 * half), self.height / (high - LOW_X))
+
+    def project(self, x: float, y: float) -> Point:
+        """Pixel of a point (m) of the plane: distance from the picture's left and from its top."""
+        scale, middle = self.pixels_per_metre, (LOW_X + self.back_x + _BEHIND) / 2
+        return self.width / 2 - y * scale, self.height / 2 - (x - middle) * scale
 
 
 class TopView:
     """Draws shelves from above; a `ShelfView` that keeps the empty shelf of each size."""
 
     def __init__(self) -> None:
-        self._empty: dict[tuple[int, int], Canvas] = {}
+        self._empty: dict[Frame, Canvas] = {}
 
     def shelf(self, robot: RobotSnapshot, width: int, height: int) -> np.ndarray:
         """See `ShelfView.shelf`."""
-        size = (width, height)
-        if size not in self._empty:
-            self._empty[size] = _empty_shelf(width, height)
-        picture = _Picture(Canvas(width, height, self._empty[size]))
-        picture.push_target(robot.push)
+        frame = Frame(width, height, robot.back_x, robot.side_y)
+        if frame not in self._empty:
+            self._empty[frame] = _empty_shelf(frame)
+        picture = _Picture(Canvas(width, height, self._empty[frame]), frame)
+        picture.push_target(robot)
         picture.origins(robot)
         picture.objects(robot)
         picture.hand(robot)
@@ -61,15 +70,15 @@ class TopView:
         self._empty.clear()
 
 
-def _empty_shelf(width: int, height: int) -> Canvas:
-    canvas = Canvas(width, height, _FLOOR)
+def _empty_shelf(frame: Frame) -> Canvas:
+    canvas = Canvas(frame.width, frame.height, _FLOOR)
 
     def box(low_x: float, high_x: float, right_y: float, left_y: float, color: str) -> None:
-        left, top = project(high_x, left_y, width, height)
-        right, bottom = project(low_x, right_y, width, height)
+        left, top = frame.project(high_x, left_y)
+        right, bottom = frame.project(low_x, right_y)
         canvas.rectangle((left, top, right, bottom), color)
 
-    side, back, wall = SIDE_WALL_Y, BACK_WALL_X, _WALL_M
+    side, back, wall = frame.side_y, frame.back_x, _WALL_M
     box(FRONT_X, back, -side, side, _BOARD)
     box(back, back + wall, -side - wall, side + wall, _WALL)
     box(FRONT_X, back, side, side + wall, _WALL)
@@ -81,20 +90,20 @@ def _empty_shelf(width: int, height: int) -> Canvas:
 class _Picture:
     """Draws the parts of a shelf on a canvas; positions are in metres."""
 
-    def __init__(self, canvas: Canvas) -> None:
-        self.canvas = canvas
-        self._scale = pixels_per_metre(canvas.width, canvas.height)
+    def __init__(self, canvas: Canvas, frame: Frame) -> None:
+        self.canvas, self._frame = canvas, frame
+        self._scale = frame.pixels_per_metre
         # Lines get thicker with the picture, but stay visible in the smallest.
         self._line = max(0.004 * self._scale, 0.8)
 
     def _at(self, point) -> Point:
-        return project(float(point[0]), float(point[1]), self.canvas.width, self.canvas.height)
+        return self._frame.project(float(point[0]), float(point[1]))
 
     def objects(self, robot: RobotSnapshot) -> None:
         """Draw the objects as discs, numbered from 1 where there is room."""
-        radius = RADIUS * self._scale
         pushed = None if robot.push is None else robot.push.object
-        for i, centre in enumerate(robot.objects):
+        radii = robot.radii * self._scale
+        for i, (centre, radius) in enumerate(zip(robot.objects, radii, strict=True)):
             fill, edge, ink = OBJECT_COLOR, _EDGE, "#3c4148"
             if i == pushed:
                 fill, edge, ink = _PUSHED, PUSH_COLOR, "#5b2505"
@@ -108,11 +117,12 @@ class _Picture:
 
     def origins(self, robot: RobotSnapshot) -> None:
         """Draw a faint ring where each object that has moved stood at first, and a line from it."""
-        for origin, centre in zip(robot.origins, robot.objects, strict=False):
+        radii = robot.radii * self._scale
+        for origin, centre, radius in zip(robot.origins, robot.objects, radii, strict=False):
             if math.dist(origin, centre) > MOVED:
                 at = self._at(origin)
                 self.canvas.line([at, self._at(centre)], _ORIGIN, self._line)
-                self.canvas.dashed_circle(at, RADIUS * self._scale, _ORIGIN, 0.8 * self._line)
+                self.canvas.dashed_circle(at, radius, _ORIGIN, 0.8 * self._line)
 
     def hand(self, robot: RobotSnapshot) -> None:
         """Draw the hand's capsules, and a forearm that leaves the picture."""
@@ -139,11 +149,12 @@ class _Picture:
         for at in points:
             self.canvas.disc(at, 1.6 * self._line, color, outline="#00000088", width=0.7)
 
-    def push_target(self, push: Push | None) -> None:
+    def push_target(self, robot: RobotSnapshot) -> None:
         """Draw the pushed object once more, transparent, at its target."""
+        push = robot.push
         if push is None:
             return
-        at, radius = self._at((push.x, push.y)), RADIUS * self._scale
+        at, radius = self._at((push.x, push.y)), robot.radii[push.object] * self._scale
         self.canvas.disc(at, radius, _PUSHED + "60")
         self.canvas.dashed_circle(at, radius, PUSH_COLOR, self._line)
 

@@ -1,7 +1,8 @@
 """Scenes: shelves full of cylinders, and how they are sampled, imported and drawn.
 
-Read `scene.py` first: the type `Scene` and its checks. `sampling.py` makes random scenes, `mjcf.py`
-imports the authors' published files, `statistics.py` describes sets of scenes, and `draw.py` draws
+Read `scene.py` first: the type `Scene` and its checks; `shelf.py` has the standard sizes and their
+limits. `sampling.py` makes random scenes; `load.py` loads files, those of `file.py` (JSON) and the
+authors' published ones (`mjcf.py`); `statistics.py` describes sets of scenes, and `draw.py` draws
 the view from above.
 
 Importing this room needs NumPy only: matplotlib is imported when a scene is drawn, JAX when a typed
@@ -9,9 +10,11 @@ key is given. It may import `parallel` and the layers below it.
 """
 
 from pgf_jax.scene.draw import draw_scene, save_top_view
-from pgf_jax.scene.mjcf import load_scene, load_scenes
-from pgf_jax.scene.sampling import PRESETS, SceneClass, sample_scene
-from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, HEIGHT, RADIUS, SIDE_WALL_Y, Scene, validate
+from pgf_jax.scene.file import save_scene
+from pgf_jax.scene.load import load_scene, load_scenes
+from pgf_jax.scene.sampling import PRESETS, PUBLISHED_CLASSES, SceneClass, Sizes, sample_scene
+from pgf_jax.scene.scene import Scene, validate
+from pgf_jax.scene.shelf import BACK_WALL_X, FRONT_X, HEIGHT, RADIUS, SIDE_WALL_Y
 from pgf_jax.scene.statistics import (
     START_EE,
     SceneStatistics,
@@ -27,12 +30,14 @@ __all__ = [
     "FRONT_X",
     "HEIGHT",
     "PRESETS",
+    "PUBLISHED_CLASSES",
     "RADIUS",
     "SIDE_WALL_Y",
     "START_EE",
     "Scene",
     "SceneClass",
     "SceneStatistics",
+    "Sizes",
     "corridor_count",
     "corridor_mask",
     "deeper_count",
@@ -41,6 +46,7 @@ __all__ = [
     "load_scenes",
     "nearest_distances",
     "sample_scene",
+    "save_scene",
     "save_top_view",
     "scene_statistics",
     "validate",

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pgf_jax.errors import BadInput
-from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, SIDE_WALL_Y, Scene
+from pgf_jax.scene.scene import Scene
+from pgf_jax.scene.shelf import FRONT_X
 from pgf_jax.scene.statistics import (
     CORRIDOR_END_GAP,
     CORRIDOR_HALF_WIDTH,
@@ -67,7 +68,7 @@ def draw_scene(
     if ax is None:
         ax = Figure(figsize=(7, 5.6), layout="constrained").add_subplot()
 
-    _draw_shelf(ax)
+    _draw_shelf(ax, scene)
     if corridor:
         ax.add_patch(Polygon(_corridor_corners(scene)[:, ::-1], color=CORRIDOR_COLOR, zorder=1))
     blocking = corridor_mask(scene) if corridor else np.zeros(len(scene.objects), dtype=bool)
@@ -90,8 +91,8 @@ def draw_scene(
     ax.plot(START_EE[1], START_EE[0], "o", color=ROBOT_COLOR, markersize=7, zorder=3)
 
     ax.set_aspect("equal")
-    ax.set_xlim(SIDE_WALL_Y + 0.03, -SIDE_WALL_Y - 0.03)  # y grows to the left
-    ax.set_ylim(-0.03, BACK_WALL_X + 0.03)
+    ax.set_xlim(scene.side_y + 0.03, -scene.side_y - 0.03)  # y grows to the left
+    ax.set_ylim(-0.03, scene.back_x + 0.03)
     ax.set_xlabel("y (m)")
     ax.set_ylabel("x (m), into the shelf")
     ax.set_title(scene.name if title is None else title)
@@ -175,16 +176,17 @@ def _legend(ax: Axes, *, corridor: bool, paths: bool, moved: bool) -> None:
     )
 
 
-def _draw_shelf(ax: Axes) -> None:
+def _draw_shelf(ax: Axes, scene: Scene) -> None:
+    back, side = scene.back_x, scene.side_y
     ax.plot(
-        [SIDE_WALL_Y, SIDE_WALL_Y, -SIDE_WALL_Y, -SIDE_WALL_Y],
-        [FRONT_X, BACK_WALL_X, BACK_WALL_X, FRONT_X],
+        [side, side, -side, -side],
+        [FRONT_X, back, back, FRONT_X],
         color=_WALL_COLOR,
         linewidth=3,
         zorder=1,
     )
     ax.plot(
-        [SIDE_WALL_Y, -SIDE_WALL_Y],
+        [side, -side],
         [FRONT_X, FRONT_X],
         color=_WALL_COLOR,
         linewidth=1,

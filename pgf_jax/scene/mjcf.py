@@ -4,7 +4,8 @@ A scene file holds its objects as bodies `object_1`, `object_2`, ... of the worl
 upright cylinder on a free joint, and takes shelf and robot from includes. Only the objects are
 read: the planar model has its own shelf and robot, so includes are not opened and may be missing.
 Values that a file leaves out (mass, friction, the joint's damping) are those of the published
-objects. A file with other values is refused, because the planar model would not simulate them.
+objects. A file with another damping or armature is refused, because the planar model would not
+simulate it. The friction is that with other bodies; on the table it is the standard one.
 """
 
 import dataclasses
@@ -12,13 +13,14 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pgf_jax.errors import BadInput
-from pgf_jax.files import MIB, is_folder, read_file
-from pgf_jax.scene.scene import HEIGHT, RADIUS, Scene
-from pgf_jax.settings import check_path
+from pgf_jax.files import MIB, read_file
+from pgf_jax.scene.scene import Scene
+from pgf_jax.scene.shelf import FRICTION, HEIGHT, MASS, RADIUS
 
 GOAL_BODY = "object_3"
 
@@ -27,62 +29,27 @@ _OTHER_ORIENTATIONS = ("axisangle", "euler", "xyaxes", "zaxis")
 _WHAT = "a scene file (MJCF)"
 _LARGEST = 4 * MIB  # of a file; the published ones take 10 kB
 _MAX_TILT = math.radians(1.0)
-_MAX_HEIGHT_SPREAD = HEIGHT / 4  # the published objects' z agree to 0.1 mm
+_MAX_LEVEL_SPREAD = HEIGHT / 4  # m; the published objects' z agree to 0.1 mm
 _WORLD_CHILDREN = ("body", "include", "light", "camera", "site")
 _BODY_CHILDREN = ("geom", "joint", "freejoint", "site", "light", "camera")
 # Attributes that the planar model fixes: element, attribute, the first number of its value.
 _FIXED = (
-    ("geom", "mass", 1.0),
-    ("geom", "friction", 0.3),
     ("joint", "damping", 0.5),
     ("joint", "armature", 0.1),
 )
 
 
-def load_scene(path: str | Path) -> Scene:
-    """Read one scene file; its stem is the scene's name and `object_3` the goal.
-
-    Args:
-      path: an MJCF file in the published scenes' form.
-
-    Returns:
-      The scene, its objects in the order of their numbers.
+def read_mjcf(path: Path) -> Scene:
+    """Read one MJCF file, see `load_scene`; its stem is the scene's name and `object_3` the goal.
 
     Raises:
-      BadInput: the file is missing, malformed, or holds what the planar model does not simulate
-        (anything but upright cylinders of radius 0.03 m, height 0.10 m, mass 1 kg and friction
-        0.3, clear of each other and on the shelf). The message is one line with the file, the
-        value and what was expected.
-
-    Source: https://github.com/rpapallas/PGF, models/warehouse_N.xml.
+      BadInput: the file is missing, malformed, or holds what is not simulated.
     """
-    path = check_path("path", path)
     content = read_file(path, _WHAT, _LARGEST)
     try:
         return dataclasses.replace(_read(content, path.stem), source=path.absolute())
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
-
-
-def load_scenes(directory: str | Path) -> list[Scene]:
-    """Read every `*.xml` directly in a directory, in natural order (scene_2 before scene_10).
-
-    Raises:
-      BadInput: no such directory, no scene file in it, or a file that `load_scene` refuses.
-    """
-    directory = Path(directory)
-    if not is_folder(directory):
-        raise BadInput(f"{directory}: expected a directory of scene files (*.xml), found none")
-    paths = sorted((p for p in directory.glob("*.xml") if p.is_file()), key=_natural)
-    if not paths:
-        raise BadInput(f"{directory}: holds no scene file; expected one or more *.xml")
-    return [load_scene(path) for path in paths]
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Sort key that reads the digits in a name as numbers."""
-    parts = re.split(r"([0-9]+)", path.name)  # every other one is a number
-    return [(int(part), "") if i % 2 else (-1, part) for i, part in enumerate(parts)]
 
 
 def _read(content: bytes, name: str) -> Scene:
@@ -100,17 +67,40 @@ def _read(content: bytes, name: str) -> Scene:
             f"the goal {GOAL_BODY} is missing; expected it among the objects, got {len(numbers)}"
         )
     positions = np.array([_position(bodies[n], f"object_{n}") for n in numbers])  # [N, 3]
-    off = np.abs(positions[:, 2] - np.median(positions[:, 2]))
-    if off.max() > _MAX_HEIGHT_SPREAD:
+    cylinders = [_read_object(bodies[n], f"object_{n}") for n in numbers]
+    heights = np.array([2 * cylinder.half_height for cylinder in cylinders])
+    bottoms = positions[:, 2] - heights / 2
+    off = np.abs(bottoms - np.median(bottoms))
+    if off.max() > _MAX_LEVEL_SPREAD:
         i = int(off.argmax())
         raise BadInput(
             f"object_{i + 1} is at z {positions[i, 2]:g} m; expected all objects to stand on one "
             f"level (median z {np.median(positions[:, 2]):g} m)"
         )
-    for number in numbers:
-        _check_object(bodies[number], f"object_{number}")
-    positions[:, 2] = RADIUS
-    return Scene(name, positions, goal - 1)
+    positions[:, 2] = [cylinder.radius for cylinder in cylinders]
+    return Scene(
+        name,
+        positions,
+        goal - 1,
+        heights=_unless(HEIGHT, heights),
+        masses=_unless(MASS, [cylinder.mass for cylinder in cylinders]),
+        frictions=_unless(FRICTION, [cylinder.friction for cylinder in cylinders]),
+    )
+
+
+class _Cylinder(NamedTuple):
+    """What an object's body says of it: m, kg."""
+
+    radius: float
+    half_height: float
+    mass: float
+    friction: float
+
+
+def _unless(standard: float, values: Any) -> np.ndarray | None:
+    """The values; None where all of them are standard to within rounding."""
+    values = np.array(values)
+    return None if np.allclose(values, standard, rtol=0, atol=1e-6) else values
 
 
 def _parse(content: bytes) -> ET.Element:
@@ -145,8 +135,8 @@ def _object_bodies(root: ET.Element) -> dict[int, ET.Element]:
     return bodies
 
 
-def _check_object(body: ET.Element, name: str) -> None:
-    """Refuse a body that is not one upright standard cylinder on a free joint."""
+def _read_object(body: ET.Element, name: str) -> _Cylinder:
+    """Read a body; refuse one that is not one upright cylinder on a free joint."""
     for child in body:
         if child.tag not in _BODY_CHILDREN:
             raise BadInput(f"{name} holds <{child.tag}>; expected one geom and one free joint")
@@ -155,12 +145,11 @@ def _check_object(body: ET.Element, name: str) -> None:
     kind = geom.get("type")
     if kind != "cylinder":
         raise BadInput(f"{name} has a geom of type {kind!r}; only upright cylinders are supported")
-    size = geom.get("size")
-    if not _all_close(_numbers(geom, "size", name), (RADIUS, HEIGHT / 2)):
-        raise BadInput(
-            f"{name} has size {size!r}; expected '{RADIUS:g} {HEIGHT / 2:g}' "
-            f"(radius and half height, m)"
-        )
+    size = _numbers(geom, "size", name)
+    if len(size) != 2:
+        raise BadInput(f"{name} has size {geom.get('size')!r}; expected radius and half height, m")
+    if _all_close(size, (RADIUS, HEIGHT / 2)):
+        size = [RADIUS, HEIGHT / 2]
     for attribute in ("pos", "quat", "fromto", *_OTHER_ORIENTATIONS):
         if geom.get(attribute) is not None:
             raise BadInput(
@@ -179,6 +168,18 @@ def _check_object(body: ET.Element, name: str) -> None:
                 raise BadInput(
                     f"{name} has {attribute} {element.get(attribute)!r}; expected {expected:g}"
                 )
+    mass, friction = _first(geom, "mass", MASS, name), _first(geom, "friction", FRICTION, name)
+    return _Cylinder(size[0], size[1], mass, friction)
+
+
+def _first(geom: ET.Element, attribute: str, standard: float, name: str) -> float:
+    """The first number of an attribute, which may be left out."""
+    if geom.get(attribute) is None:
+        return standard
+    values = _numbers(geom, attribute, name)
+    if not values:
+        raise BadInput(f"{name} has {attribute} {geom.get(attribute)!r}; expected a number")
+    return values[0]
 
 
 def _check_upright(body: ET.Element, name: str) -> None:

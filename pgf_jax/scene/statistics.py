@@ -7,6 +7,7 @@ import numpy as np
 
 from pgf_jax.errors import BadInput
 from pgf_jax.scene.scene import Scene
+from pgf_jax.scene.shelf import RADIUS
 
 START_EE = (0.1821, -0.0088)  # end-effector point of the robot at its start (0, 0, yaw 0), m
 CORRIDOR_HALF_WIDTH = 0.065  # m
@@ -16,7 +17,8 @@ CORRIDOR_END_GAP = 0.01  # the corridor ends this far before the goal's centre, 
 def corridor_mask(scene: Scene, ee: tuple[float, float] = START_EE) -> np.ndarray:
     """Mark the objects whose centre is in the straight corridor from the hand to the goal.
 
-    The corridor runs from `ee` to 0.01 m before the goal's centre, 0.065 m to either side.
+    The corridor runs from `ee` to 0.01 m before the goal's centre, 0.065 m to either side; the edge
+    of an object counts, so that a larger one is in it from further aside.
 
     Args:
       scene: the shelf.
@@ -32,7 +34,7 @@ def corridor_mask(scene: Scene, ee: tuple[float, float] = START_EE) -> np.ndarra
     ux, uy = dx[scene.goal] / length, dy[scene.goal] / length
     along, across = dx * ux + dy * uy, dx * uy - dy * ux
     inside = (along > 0) & (along < length - CORRIDOR_END_GAP)
-    inside &= np.abs(across) < CORRIDOR_HALF_WIDTH
+    inside &= np.abs(across) < CORRIDOR_HALF_WIDTH + (scene.radii - RADIUS)
     inside[scene.goal] = False
     return inside
 

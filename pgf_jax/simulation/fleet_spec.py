@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import hashlib
 from collections.abc import Callable, Hashable
+from typing import cast
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.physics.config import Physics
 from pgf_jax.planning.config import Planner
 from pgf_jax.scene import Scene, sample_scene
-from pgf_jax.scene.sampling import OBJECTS, PRESETS
+from pgf_jax.scene.sampling import PRESETS, PUBLISHED_CLASSES, SceneClass, most_objects
 from pgf_jax.simulation.planned_robots import PlannedRobots, Robot
 from pgf_jax.simulation.recorded_operator import Recording
 from pgf_jax.simulation.search_cache import SearchCache
@@ -33,7 +34,8 @@ class TaskScenes:
 
     Attributes:
       seed: of the draws.
-      scene_class: of sampled scenes; `all`: the classes in turn; None with files.
+      scene_class: of sampled scenes; `all`: the three classes of the published scenes in turn;
+        `every`: all six; None with files.
       files: scenes to draw from; None: sample.
     """
 
@@ -61,8 +63,10 @@ class TaskScenes:
 
     @property
     def n_objects(self) -> int:
-        """N, the same in every scene."""
-        return OBJECTS if self.files is None else len(self.files[0].objects)
+        """N, the largest of any scene."""
+        if self.files is None:
+            return max(most_objects(one) for one in self._classes)
+        return max(len(scene.objects) for scene in self.files)
 
     @functools.cached_property
     def digest(self) -> str | None:
@@ -73,14 +77,19 @@ class TaskScenes:
         for scene in self.files:
             digest.update(f"{scene.name}\0{scene.goal}\0{len(scene.objects)}\0".encode())
             digest.update(np.ascontiguousarray(scene.objects, "<f8").tobytes())
+            for values in scene.shelf or ():
+                digest.update(np.ascontiguousarray(values, "<f8").tobytes())
         return digest.hexdigest()
 
     def _class_of_task(self, robot: int, task: int) -> str:
-        assert self.scene_class is not None
         # In turn, and shifted from robot to robot: classes are mixed over the fleet at all times.
-        classes = [*PRESETS]
-        every = self.scene_class == "all"
-        return classes[(robot + task) % len(classes)] if every else self.scene_class
+        return self._classes[(robot + task) % len(self._classes)]
+
+    @property
+    def _classes(self) -> tuple[SceneClass, ...]:
+        assert self.scene_class is not None
+        several = {"all": PUBLISHED_CLASSES, "every": PRESETS}
+        return several.get(self.scene_class) or (cast(SceneClass, self.scene_class),)
 
     def _sampled_name(self, robot: int, task: int) -> str:
         return f"{self._class_of_task(robot, task)}_{self.seed}_{robot}_{task}"
@@ -115,9 +124,9 @@ class FleetSpec:
     world: WorldSpec | None = None
 
     @functools.cached_property
-    def compile_key(self) -> tuple[str, Physics, Planner, int, int]:
-        """What its compiled programs depend on: engine, physics, planner, lanes, N."""
-        return self.engine, self.physics, self.planner, self.lanes, self.scenes.n_objects
+    def compile_key(self) -> tuple[str, Physics, Planner, int]:
+        """What its programs depend on beside the scenes: engine, physics, planner, lanes."""
+        return self.engine, self.physics, self.planner, self.lanes
 
     @functools.cached_property
     def cache_key(self) -> Hashable:

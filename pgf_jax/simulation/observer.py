@@ -10,7 +10,8 @@ from pgf_jax.fleet.records import State
 from pgf_jax.fleet.simulator import Fleet
 from pgf_jax.physics import hand
 from pgf_jax.physics.hand import RETREAT_M
-from pgf_jax.planning.planner import Search
+from pgf_jax.planning import padding
+from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import Push, Status
 from pgf_jax.simulation.planned_robots import PlannedRobots
 from pgf_jax.simulation.snapshot import STUCK, FleetSnapshot, RobotSnapshot, short_number
@@ -167,18 +168,18 @@ class FleetObserver:
         assert run is not None
         objects, pose, gripper = self._world(run.state, run.since_ns, seen, time_ns)
         rolled_out = int(seen.search.iteration) >= 0 and run.state is not State.EXECUTING
-        best = seen.search.best
+        best, n = seen.search.best, seen.search.objects
         return RobotSnapshot(
             robot=index,
             task=seen.task,
             scene=seen.scene,
             state=run.state,
-            objects=objects,
+            objects=objects[:n],
             goal=int(seen.search.task.goal),
             hand=pose,
             gripper=gripper,
             path=np.asarray(best.hand) if rolled_out else np.empty((0, 3)),
-            ends=np.asarray(best.objects[-1]) if rolled_out else np.empty((0, 2)),
+            ends=np.asarray(best.objects[-1])[:n] if rolled_out else np.empty((0, 2)),
             push=seen.push,
             costs=tuple(seen.costs),
             inputs_at=tuple(seen.inputs_at),
@@ -190,6 +191,7 @@ class FleetObserver:
             bids_at=tuple(seen.bids_at),
             grants_at=tuple(seen.grants_at),
             news=seen.news if time_ns - seen.told_ns <= NEWS_NS else "",
+            shelf=padding.without_empty(seen.search.shelf),
         )
 
     def _world(

@@ -19,9 +19,10 @@ from pgf_jax.guidance.operators.base import ask_operator
 from pgf_jax.guidance.predictors.features import state_features
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.guidance.view import DecisionKey, View
-from pgf_jax.planning.planner import Search
+from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import UNANSWERED, Push
-from pgf_jax.scene.scene import Scene, class_of
+from pgf_jax.scene.sampling import class_of
+from pgf_jax.scene.scene import Scene
 from pgf_jax.simulation.search_cache import Node, SearchCache
 from pgf_jax.simulation.task_worlds import TaskWorlds
 from pgf_jax.tables.run_log import RunLog
@@ -138,16 +139,17 @@ class PlannedRobots:
         r.log.begin_segment("push")
         reach = r.reach_node = r.node
         r.node = reach.child(
-            push, lambda: planner.begin_push(reach.search.start, r.scene.goal, push)
+            push,
+            lambda: planner.begin_push(reach.search.start, r.scene.goal, push, reach.search.shelf),
         )
 
     def drop_push(self, robot: int) -> None:
         """See `fleet.Robots.drop_push`."""
         r, planner = self.robots[robot], self.planner_service.planner
         assert r.reach_node is not None, "no push to drop"
-        start = r.reach_node.search.start
+        at, goal = r.reach_node.search, r.scene.goal
         r.dropped += 1
-        self._reach(r, r.node.child("drop", lambda: planner.begin_reach(start, r.scene.goal)))
+        self._reach(r, r.node.child("drop", lambda: planner.begin_reach(at.start, goal, at.shelf)))
 
     def go_on(self, robot: int) -> None:
         """See `fleet.Robots.go_on`."""
@@ -243,13 +245,14 @@ class PlannedRobots:
         def retreat() -> Coroutine:
             if r.worlds is None:
                 (world,) = yield [requests.Retreat(search)]
-                return Node(planner.begin_reach(world, r.scene.goal))
+                return Node(planner.begin_reach(world, r.scene.goal, search.shelf))
             place = r.acts_at
             if search.task.pushing:
                 place = yield from places.execute_and_retreat(planner, place, search)
             else:  # a reach has missed, and the node's state is that at its end
                 place = yield from places.retreat(*place)
-            return Node(planner.begin_reach(place.seen, r.scene.goal), place.state)
+            again = planner.begin_reach(place.seen, r.scene.goal, search.shelf)
+            return Node(again, place.state)
 
         (after,) = yield [r.node.memoised("retreat", retreat)]
         r.executed.append(self.segment(search))

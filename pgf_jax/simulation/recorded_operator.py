@@ -12,7 +12,8 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.fleet.simulator import Attendance
 from pgf_jax.guidance.view import DecisionKey, View
-from pgf_jax.planning.planner import BatchPlanner, Search
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import UNANSWERED, NoInput, Push
 from pgf_jax.tables.event_log import EventLog, digest
 

@@ -13,11 +13,10 @@ from typing import Any
 
 from pgf_jax.batching.planner_service import PlannerService
 from pgf_jax.batching.requests import Coroutine, Memoised
-from pgf_jax.errors import BadInput
 from pgf_jax.guidance.operators.base import AnyOperator
 from pgf_jax.physics.worlds.world import State
 from pgf_jax.planning.candidates import Candidates
-from pgf_jax.planning.planner import Search, start_world
+from pgf_jax.planning.search import Search, start_world
 from pgf_jax.scene.scene import Scene
 from pgf_jax.simulation.task_worlds import TaskWorlds
 
@@ -105,19 +104,14 @@ class SearchCache:
         """The task number `task` of a robot (both 0-based).
 
         Raises:
-          BadInput: its scene has another number of objects than the engine.
+          BadInput: its scene is not standard, and the engine simulates standard ones only.
         """
         key = (robot, task)
         if key not in self._tasks:
-            scene, n = self._scenes(*key), self.planner_service.engine.n_objects
-            if len(scene.objects) != n:
-                raise BadInput(
-                    f"scene {scene.name}: has {len(scene.objects)} objects, the engine simulates "
-                    f"{n}"
-                )
+            scene = self._scenes(*key)
             worlds = None if self.worlds is None else self.worlds(scene, *key)
             world = start_world(scene.positions)
-            search = self.planner_service.planner.begin_reach(world, scene.goal)
+            search = self.planner_service.planner.begin_reach(world, scene.goal, scene.shelf)
             root = Node(search, None if worlds is None else worlds.start())
             self._tasks[key] = CachedTask(scene, root, worlds)
         return self._tasks[key]

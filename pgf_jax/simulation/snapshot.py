@@ -8,6 +8,7 @@ import numpy as np
 from pgf_jax.fleet.records import State
 from pgf_jax.physics import hand
 from pgf_jax.planning.types import Push, Status
+from pgf_jax.scene.shelf import OnShelf, Shelf
 
 STUCK = "stuck"  # in place of the bid of a stuck robot, which is inf
 _ACTIVITIES = {
@@ -35,7 +36,7 @@ def end_effector(poses: np.ndarray) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class RobotSnapshot:
+class RobotSnapshot(OnShelf):
     """What a person sees of one robot and its shelf.
 
     Attributes:
@@ -64,6 +65,7 @@ class RobotSnapshot:
       leaning: [N, 4] height of each object's centre, m, and direction of its axis; empty where all
         stand.
       news: what has just happened between the robot and the operator, in words; empty if nothing.
+      shelf: sizes of the objects, and walls; None: they are standard.
     """
 
     robot: int
@@ -89,6 +91,7 @@ class RobotSnapshot:
     grants_at: tuple[int, ...] = ()
     leaning: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 4)))
     news: str = ""
+    shelf: Shelf | None = None
 
     @property
     def activity(self) -> str:

@@ -91,11 +91,12 @@ class WorldSpec:
         """The worlds of a task."""
         if self.name == "scene":
             return TaskWorlds(scene, _scene(dict(self.models)[scene.name]))
-        solid = _solid(len(scene.objects))
+        n, shelf = len(scene.objects), scene.shelf
+        solid = _solid(n) if shelf is None else SolidWorld(n, shelf=shelf)
         if self.error is None:
             return TaskWorlds(scene, solid)
-        drawn = draw(self.error, scene.positions, self.seed, robot, task)
-        acting = SolidWorld(len(scene.objects), drawn=drawn)
+        drawn = draw(self.error, scene, self.seed, robot, task)
+        acting = SolidWorld(n, drawn=drawn, shelf=shelf)
         return TaskWorlds(scene, acting, lambda seen: Place(solid, solid.state_of(seen)))
 
     @property

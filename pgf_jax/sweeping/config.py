@@ -29,7 +29,8 @@ from pgf_jax.planning.config import (
 from pgf_jax.scene import Scene, SceneClass
 from pgf_jax.settings import CommandLine, Count, Seconds, Seed, check_fields
 
-SampledClass = Literal[SceneClass, "all"]  # all: the three in turn
+# all: the three of the published scenes in turn; every: all six
+SampledClass = Literal[SceneClass, "all", "every"]
 
 # Fields that decide on no result: they say how and where a sweep is computed.
 HOW = ("preset", "workers", "scheduler", "out", "resume", "json")
@@ -116,9 +117,10 @@ class SweepConfig:
       stuck_change: a change of the cost below this is hardly any.
       stuck_excess: a winner whose cost is above the best one by more than this counts as no change.
       scene_class: class of the sampled scenes: tight, medium, wide, or all (the three in turn);
+        crowded, packed (36 and 44 objects), mixed (of different sizes), or every (all six);
         None: tight, or that of the preset.
-      scenes: scenes from which the tasks are drawn: a folder of scene files (*.xml), or a file of
-        scenes (*.json). None: scenes are sampled.
+      scenes: scenes from which the tasks are drawn: a folder of scene files (*.xml, *.json), or a
+        file of scenes (*.json). None: scenes are sampled.
       operator: who gives input (what to push where): heuristic (geometry), noisy (heuristic with
         errors), oracle (tries pushes in simulation), clairvoyant (the same with the robot's own
         noise), none, or a registered one; replay: whoever gave it in a recorded session, whose

@@ -13,7 +13,7 @@ from typing import Any
 
 from pgf_jax.files import sha256
 from pgf_jax.fleet.config import Cell
-from pgf_jax.physics.engine import MAX_CONTACTS
+from pgf_jax.physics.engine import contact_slots
 from pgf_jax.plugins.registry import plugins_record
 from pgf_jax.provenance import host, origin
 from pgf_jax.sweeping.cell_file import FOLDER, Content
@@ -87,7 +87,7 @@ def manifest(
         "lanes": config.engine_lanes(),
         "rollouts": config.planner().rollouts,
         "physics": dataclasses.asdict(physics)
-        | {"substep_s": physics.substep_s, "contact_slots": MAX_CONTACTS},
+        | {"substep_s": physics.substep_s, "contact_slots": contact_slots(sweep.scenes.n_objects)},
         "planner": dataclasses.asdict(config.planner()),
         "scenes": _scenes(sweep),
         "predictors": sweep.predictor_files,

@@ -193,14 +193,6 @@ def _scene_files(config: SweepConfig) -> tuple[Scene, ...] | None:
         files = tuple(read_scenes(config.scenes))
     else:
         files = tuple(load_scenes(config.scenes))
-    n_objects = len(files[0].objects)
-    for scene in files:
-        if len(scene.objects) != n_objects:
-            where = config.scenes if isinstance(config.scenes, Path) else "scenes"
-            raise BadInput(
-                f"{where}: {scene.name} has {len(scene.objects)} objects, expected "
-                f"{n_objects} as in {files[0].name}"
-            )
     return files
 
 

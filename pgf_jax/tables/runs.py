@@ -25,7 +25,10 @@ from pgf_jax.tables.parquet import check_columns, read_table, write_table
 RUN_COLUMNS: dict[str, tuple[pl.DataType, str]] = {
     "scene": (pl.String(), "the scene's name; the 80/20 split keeps its rows together"),
     "seed": (pl.Int64(), "the planner's seed; (scene, seed) identifies a run"),
-    "class": (pl.String(), "the scene's class: tight, medium, wide, or as the collector calls it"),
+    "class": (
+        pl.String(),
+        "the scene's class, one of `sample_scene`, or as the collector calls it",
+    ),
     "n_objects": (pl.Int64(), "N, the same in all of a run"),
     "segment": (pl.Int64(), "0, 1, ... over the run: first reach, a push, the reach after it, ..."),
     "kind": (pl.String(), "`reach` or `push`, the same in all of a segment"),

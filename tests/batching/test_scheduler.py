@@ -26,9 +26,17 @@ class Recorder:
         return list(requests)
 
 
+class Name(tuple):
+    """In place of a search; its program is its first part, if that is in capitals."""
+
+    @property
+    def program(self):
+        return self[0] if str(self[0]).isupper() else ""
+
+
 def step(*name) -> Step:
     """A request that is told from others by its name alone."""
-    return Step(name, (0, 0, 0, 0, 0))  # pyright: ignore[reportArgumentType]
+    return Step(Name(name), (0, 0, 0, 0, 0))  # pyright: ignore[reportArgumentType]
 
 
 def stepping(name, counts) -> Any:
@@ -299,6 +307,18 @@ def test_with_threads_calls_are_made_side_by_side():
     drain(scheduler)
     assert sorted(len(call) for call in service.calls) == [3, 3]
     assert [request.search for request in ended[0]] == [("a", 0, i) for i in range(6)]
+
+
+def test_a_call_is_of_one_program():
+    """Those of another wait for the next call, and keep their order."""
+    service = Recorder(lanes=3)
+    scheduler, ended = BatchScheduler(service), []  # pyright: ignore[reportArgumentType]
+    for name, count in (("A", 1), ("B", 2), ("A", 3), ("B", 1)):
+        scheduler.submit(stepping(name, [count]), ended.append)
+    drain(scheduler)
+    calls = [[request.search[0] for request in call] for call in service.calls if call]
+    assert calls == [["A"] * 3, ["B"] * 3, ["A"]]
+    assert len(ended) == 4
 
 
 def test_with_threads_an_execution_has_a_thread_of_its_own():

@@ -24,7 +24,7 @@ from pgf_jax.collection.scenes import scene_of
 from pgf_jax.guidance.predictors.features import STATE, state_features
 from pgf_jax.guidance.trials import simulate_input
 from pgf_jax.guidance.view import View
-from pgf_jax.planning.planner import start_world
+from pgf_jax.planning.search import start_world
 from pgf_jax.planning.types import LOOK_AHEAD, Push
 from pgf_jax.scene import sample_scene
 from pgf_jax.tables.forks import read_forks

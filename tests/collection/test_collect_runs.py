@@ -234,7 +234,10 @@ def test_a_truncated_part_or_settings_file_is_named(tmp_path, autonomous):
         ({"scenes": 0}, "scenes: expected a whole number 1 or more, got 0"),
         ({"seed": -1}, "seed: expected a whole number within 0"),
         ({"classes": ()}, "classes: expected one or more"),
-        ({"classes": ("flat",)}, "classes: expected one of tight, medium, wide, got 'flat'"),
+        (
+            {"classes": ("flat",)},
+            "classes: expected one of tight, medium, wide, crowded, packed, mixed, got 'flat'",
+        ),
         ({"classes": ("tight", "tight")}, "classes: expected each at most once"),
         ({"engine": "warp"}, "engine: expected one of"),
         ({"mode": "human", "operator": "nobody"}, "operator: expected one of"),

@@ -17,7 +17,7 @@ from pages import (
 import pgf_jax
 from pgf_jax.console.input_panel import target_problem
 from pgf_jax.guidance.view import View
-from pgf_jax.planning.planner import start_world
+from pgf_jax.planning.search import start_world
 from pgf_jax.planning.types import Push
 from pgf_jax.tables.event_log import first_difference, read_log
 

@@ -19,7 +19,7 @@ from pgf_jax.console.input_panel import (
 from pgf_jax.console.live_operator import InputRequest
 from pgf_jax.guidance.view import View
 from pgf_jax.planning.types import UNANSWERED, Push
-from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene.shelf import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
 
 OBJECTS = ((0.40, 0.00), (0.45, 0.10), (0.30, -0.20), (0.50, 0.25), (0.25, 0.05))
 GOAL = 4  # nearest to the hand, but seldom in the way

@@ -36,7 +36,7 @@ from pgf_jax.operator_fit.command import fit_operator
 from pgf_jax.operator_fit.config import FitOperatorConfig
 from pgf_jax.planning.types import Status
 from pgf_jax.plans.file import Plan, load_plan, save_plan
-from pgf_jax.scene import Scene, load_scene, load_scenes, sample_scene
+from pgf_jax.scene import Scene, load_scene, load_scenes, sample_scene, save_scene
 from pgf_jax.simulation.planned_robots import Segment
 from pgf_jax.simulation.recorded_operator import Recording
 from pgf_jax.sweeping import cell_file
@@ -109,6 +109,12 @@ def mjcf(centres: Sequence[Sequence[float]], *, plain: bool = False) -> bytes:
 def scene_files() -> list[bytes]:
     sampled = [sample_scene(seed, preset).positions.tolist() for seed, preset in _SCENES]
     return [*map(mjcf, sampled), mjcf([(0.4, 0.2), (0.45, -0.2), (0.5, 0.1)], plain=True)]
+
+
+def own_scenes() -> list[bytes]:
+    """Scene files of this program."""
+    scenes = [sample_scene(2, "mixed"), sample_scene(3, "tight")]
+    return [_written(lambda path, s=scene: save_scene(path, s), "s.json") for scene in scenes]
 
 
 _SCENES = ((1, "tight"), (2, "medium"), (3, "wide"))
@@ -439,6 +445,7 @@ _CELL, _ACCOUNT = "cells/KEY.parquet", "cells/KEY.json"
 
 READERS: dict[str, Reader] = {
     "scene": Reader("s.xml", lambda f: load_scene(f / "s.xml"), scene_files, mutate.XML),
+    "scene_file": Reader("s.json", lambda f: load_scene(f / "s.json"), own_scenes, mutate.JSON),
     "scenes": Reader(
         "s_2.xml",
         _scenes,

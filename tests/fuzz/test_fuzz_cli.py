@@ -74,6 +74,7 @@ TOKENS = (
     | st.floats().map(str)
 )
 ENOUGH = {
+    "scene": ["--scene-class", "tight"],
     "plan": ["--scene-class", "tight"],
     "collect": ["human", "--scenes", "2", "--out", "x"],
     "execute": ["x"],

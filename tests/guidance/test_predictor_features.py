@@ -11,9 +11,9 @@ from pgf_jax.guidance.predictors.features import (
     state_features,
 )
 from pgf_jax.physics import hand
-from pgf_jax.planning.planner import start_world
+from pgf_jax.planning.search import start_world
 from pgf_jax.scene import sample_scene
-from pgf_jax.scene.scene import BACK_WALL_X, SIDE_WALL_Y
+from pgf_jax.scene.shelf import BACK_WALL_X, SIDE_WALL_Y
 
 
 def test_history_features():

@@ -9,7 +9,7 @@ from pgf_jax.guidance.operators.base import ask_operator
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.guidance.trials import PUSH_ITERATIONS, simulate_input
 from pgf_jax.guidance.view import View
-from pgf_jax.planning.planner import start_world
+from pgf_jax.planning.search import start_world
 from pgf_jax.scene import sample_scene
 
 pytestmark = pytest.mark.usefixtures("remembered_rollouts")

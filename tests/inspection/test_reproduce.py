@@ -18,7 +18,7 @@ from pgf_jax.guidance.predictors import registry
 from pgf_jax.inspection.iteration import Fault, Reproduction
 from pgf_jax.inspection.reproduce import reproduce
 from pgf_jax.physics.engine import Rollout, register_engine
-from pgf_jax.planning.planner import Rolled
+from pgf_jax.planning.search import Rolled
 from pgf_jax.simulation.loop import PlannedFleet, run_fleets
 from pgf_jax.sweeping import resolve as resolve_module
 from pgf_jax.sweeping.config import SweepConfig

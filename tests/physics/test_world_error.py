@@ -9,29 +9,27 @@ from pgf_jax.errors import BadInput
 from pgf_jax.physics.worlds.config import WorldError, world_error_of
 from pgf_jax.physics.worlds.error import draw, moved_apart
 from pgf_jax.physics.worlds.solid import SolidWorld
-from pgf_jax.scene import sample_scene
-from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene import Scene, sample_scene
+from pgf_jax.scene.shelf import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
 
 SCENE = sample_scene(1, "tight")
 
 
 def test_spreads_are_as_stated():
-    draws = [draw(WorldError(0.3, 0.2, 0.004), SCENE.positions, 0, i, 0) for i in range(200)]
+    draws = [draw(WorldError(0.3, 0.2, 0.004), SCENE, 0, i, 0) for i in range(200)]
     mass, friction = np.array([d.mass for d in draws]), np.array([d.friction for d in draws])
     hand = np.array([d.hand_friction for d in draws])
     assert 0.8 <= mass.min() < 0.81 and 1.19 < mass.max() <= 1.2
     for factors in (friction, hand):
         assert 0.7 <= factors.min() < 0.72 and 1.28 < factors.max() <= 1.3
     # Of an object that stands alone nothing is moved apart.
-    lonely = np.array([[0.4, 0.0]])
+    lonely = Scene("lonely", np.array([[0.4, 0.0, RADIUS]]), 0)
     places = np.array([draw(WorldError(0, 0, 0.004), lonely, 0, i).positions for i in range(2000)])
     assert places.std(0) == pytest.approx(0.004, rel=0.1)
 
 
 def test_a_draw_depends_on_its_key_alone():
-    one, same, other = (
-        draw(WorldError(), SCENE.positions, 7, *key) for key in ((1, 2), (1, 2), (2, 1))
-    )
+    one, same, other = (draw(WorldError(), SCENE, 7, *key) for key in ((1, 2), (1, 2), (2, 1)))
     assert all(np.array_equal(a, b) for a, b in zip(one, same, strict=True))
     assert not np.array_equal(one.mass, other.mass)
 
@@ -41,16 +39,27 @@ def test_a_draw_depends_on_its_key_alone():
 def test_objects_that_overlap_are_moved_apart(seed, sd):
     scene = sample_scene(seed, "tight")
     moved = scene.positions + sd * np.random.default_rng(seed).standard_normal((20, 2))
-    apart = moved_apart(moved)
+    apart = moved_apart(moved, scene)
     distance = np.linalg.norm(apart[:, None] - apart[None], axis=-1)[np.triu_indices(20, 1)]
     assert distance.min() >= 2 * RADIUS - 1e-5
     assert (apart[:, 0] >= FRONT_X).all() and (apart[:, 0] <= BACK_WALL_X - RADIUS + 1e-5).all()
     assert (np.abs(apart[:, 1]) <= SIDE_WALL_Y - RADIUS + 1e-5).all()
-    assert np.array_equal(moved_apart(apart), apart)
+    assert np.array_equal(moved_apart(apart, scene), apart)
+
+
+def test_objects_of_other_sizes_are_moved_apart():
+    scene = sample_scene(3, "mixed")
+    n = len(scene.objects)
+    moved = scene.positions + 0.01 * np.random.default_rng(0).standard_normal((n, 2))
+    apart = moved_apart(moved, scene)
+    first, second = np.triu_indices(n, 1)
+    distance = np.linalg.norm(apart[first] - apart[second], axis=-1)
+    assert (distance >= scene.radii[first] + scene.radii[second] - 1e-5).all()
+    assert (apart[:, 0] <= BACK_WALL_X - scene.radii + 1e-5).all()
 
 
 def test_a_world_has_what_was_drawn():
-    drawn = draw(WorldError(), SCENE.positions, 0, 0, 0)
+    drawn = draw(WorldError(), SCENE, 0, 0, 0)
     plain, changed = SolidWorld(20), SolidWorld(20, drawn=drawn)
     objects = [plain.model.body(f"object_{i + 1}").id for i in range(20)]
     assert changed.model.body_mass[objects] == pytest.approx(drawn.mass)

@@ -17,7 +17,7 @@ from pgf_jax.physics.worlds.solid import SolidWorld
 from pgf_jax.physics.worlds.solid_model import Solid
 from pgf_jax.physics.worlds.world import Command, Executed, State, execute_all
 from pgf_jax.scene import sample_scene
-from pgf_jax.scene.scene import BACK_WALL_X, HEIGHT, RADIUS
+from pgf_jax.scene.shelf import BACK_WALL_X, HEIGHT, RADIUS
 
 KNOTS, KNOT_S = 8, 0.375
 STILL = np.zeros(2)

@@ -10,7 +10,8 @@ from pgf_jax.batching.planner_service import make_planner_service
 from pgf_jax.physics.config import Physics
 from pgf_jax.planning.candidates import MOST_CHECKS, Candidates, candidates_of
 from pgf_jax.planning.config import Cost, Planner
-from pgf_jax.planning.planner import BatchPlanner, Rolled, Search, start_world
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Rolled, Search, start_world
 from pgf_jax.scene import sample_scene
 
 SCENE = sample_scene(2, "tight")
@@ -19,7 +20,7 @@ K = 8
 
 @functools.cache
 def planner() -> BatchPlanner:
-    return make_planner_service("native", Physics(), Planner(), 1, 20).planner
+    return make_planner_service("native", Physics(), Planner(), 1).planner
 
 
 @functools.cache

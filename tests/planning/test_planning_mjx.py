@@ -4,7 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from pgf_jax.planning.planner import BatchPlanner, start_world
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import start_world
 from pgf_jax.scene import sample_scene
 
 

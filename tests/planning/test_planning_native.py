@@ -7,7 +7,8 @@ import pytest
 
 from pgf_jax.physics import hand
 from pgf_jax.physics.engine import World, make_engine
-from pgf_jax.planning.planner import BatchPlanner, start_world
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import start_world
 from pgf_jax.planning.types import Push
 from pgf_jax.scene import sample_scene
 

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from pgf_jax.errors import BadInput
 from pgf_jax.physics import hand
 from pgf_jax.physics.config import Physics
-from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
+from pgf_jax.physics.engine import Rollout, World, contact_slots
 from pgf_jax.planning import planner as planner_module
 from pgf_jax.planning.config import Cost, Planner
 from pgf_jax.planning.cost import Task
-from pgf_jax.planning.planner import BatchPlanner, start_world
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import start_world
 from pgf_jax.planning.types import Push
 
 N = 4
@@ -50,8 +51,8 @@ class Bulldozer:
     def one(self, objects, velocities, pose, controls):
         objects, pose = objects.copy(), pose.copy()
         path, poses = [], []
-        force = np.zeros((len(controls), MAX_CONTACTS))
-        bodies = np.zeros((len(controls), MAX_CONTACTS, 2), np.int32)
+        force = np.zeros((len(controls), contact_slots(20)))
+        bodies = np.zeros((len(controls), contact_slots(20), 2), np.int32)
         for k, velocity in enumerate(controls):
             pose = pose + velocity * self.physics.knot_s
             ee = oracle.ee_of(pose)

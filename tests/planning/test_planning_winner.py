@@ -13,7 +13,8 @@ from test_planning_planner import INF, PAIR, POSITIONS, Bulldozer, Scripted, key
 
 from pgf_jax.errors import BadInput
 from pgf_jax.planning.config import Planner
-from pgf_jax.planning.planner import BatchPlanner, Search, start_world
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Search, start_world
 
 K = 8
 COSTS = (500, 300, 700, 100, 800, 400, 600, 200)  # of rollouts 0..7: the cheapest is number 3

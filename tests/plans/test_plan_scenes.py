@@ -99,15 +99,15 @@ def test_a_plan_by_mjx_does_not_depend_on_its_batch_and_traces_once():
     alone = [plan(0, scene, config) for scene in scenes]
     for one, two, three in zip(batch, backwards, alone, strict=True):
         assert one.to_json() == two.to_json() == three.to_json()
-    engine: Any = planner_service_of(config, 20).engine
+    engine: Any = planner_service_of(config).engine
     assert traces(engine._batched) == 1
 
 
 def test_a_second_call_traces_nothing_again(wide):
-    planner = planner_service_of(NATIVE, 20).planner
+    planner = planner_service_of(NATIVE).planner
     assert traces(planner._absorb) == 1
     plan(3, sample_scene(1, "wide"), NATIVE)
-    assert planner_service_of(NATIVE, 20).planner is planner
+    assert planner_service_of(NATIVE).planner is planner
     assert traces(planner._absorb) == 1
 
 
@@ -232,10 +232,10 @@ def test_a_corrupt_checkpoint_is_refused_before_planning(tmp_path):
         plan(0, sample_scene(0, "wide"), config)
 
 
-def test_an_engine_is_for_one_number_of_objects_and_lanes():
-    planner_service = planner_service_of(dataclasses.replace(NATIVE, lanes=2), 5)
-    assert (planner_service.engine.n_objects, planner_service.engine.lanes) == (5, 2)
-    assert planner_service.engine.physics == Physics()
+def test_an_engine_is_for_any_number_of_objects_and_some_lanes():
+    engine = planner_service_of(dataclasses.replace(NATIVE, lanes=2)).engine
+    assert (engine.of(5).n_objects, engine.of(5).lanes, engine.lanes) == (5, 2, 2)
+    assert engine.physics == Physics()
 
 
 def test_a_published_scene_is_planned(authors, tmp_path):

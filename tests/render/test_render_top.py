@@ -7,14 +7,14 @@ import pytest
 from render_cases import GOAL, OBJECTS, PATH, count, robot
 
 from pgf_jax.planning.types import Push
-from pgf_jax.render.top import TopView, pixels_per_metre, project
+from pgf_jax.render.top import Frame, TopView
 from pgf_jax.scene.draw import CORRIDOR_OBJECT_COLOR, GOAL_COLOR, OBJECT_COLOR, ROBOT_COLOR
-from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene.shelf import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y, standard_shelf
 
 
 def color_at(picture: np.ndarray, x: float, y: float) -> str:
     height, width = picture.shape[:2]
-    px, py = project(x, y, width, height)
+    px, py = Frame(width, height).project(x, y)
     return "#" + bytes(picture[int(py), int(px)]).hex()
 
 
@@ -27,13 +27,24 @@ def test_everything_lies_where_it_is(size):
         assert color_at(picture, x, y + 0.65 * RADIUS) == expected
         assert color_at(picture, x, y - 0.65 * RADIUS) == expected
     assert color_at(picture, 0.0, 0.0) == ROBOT_COLOR
-    area = math.pi * (RADIUS * pixels_per_metre(*size)) ** 2
+    area = math.pi * (RADIUS * Frame(*size).pixels_per_metre) ** 2
+    assert 0.6 * area < count(picture, GOAL_COLOR) < area
+
+
+def test_objects_and_walls_of_other_sizes():
+    n = len(OBJECTS)
+    own = standard_shelf(n)._replace(radius=np.full(n, 0.02), back_x=0.8, side_y=0.6)
+    picture = TopView().shelf(robot(shelf=own), 900, 700)
+    frame = Frame(900, 700, 0.8, 0.6)
+    px, py = frame.project(0.8 + 0.006, 0.3)
+    assert "#" + bytes(picture[int(py), int(px)]).hex() == "#7a5c3a"  # the back wall
+    area = math.pi * (0.02 * frame.pixels_per_metre) ** 2
     assert 0.6 * area < count(picture, GOAL_COLOR) < area
 
 
 def test_left_is_left_and_deep_is_up():
     at = {
-        name: project(x, y, 400, 300)
+        name: Frame(400, 300).project(x, y)
         for name, x, y in [
             ("left", 0.4, SIDE_WALL_Y),
             ("right", 0.4, -SIDE_WALL_Y),
@@ -60,7 +71,7 @@ def test_the_path_leads_the_end_effector():
     view = TopView()
     with_path, without = view.shelf(robot(path=PATH), 640, 480), view.shelf(robot(), 640, 480)
     rows, columns = np.nonzero((with_path != without).any(-1))
-    far = project(PATH[-1, 0] + 0.19, PATH[-1, 1], 640, 480)
+    far = Frame(640, 480).project(PATH[-1, 0] + 0.19, PATH[-1, 1])
     assert rows.min() < far[1] + 60 and columns.max() > far[0] - 20
     single = view.shelf(robot(path=PATH[:1]), 640, 480)
     assert single.shape == without.shape

@@ -130,14 +130,10 @@ def test_no_objects(refused, text):
     [
         ({"inside": GEOM.replace("cylinder", "box") + JOINT}, ["'box'", "cylinder"]),
         ({"inside": '<geom size="0.03 0.05"/>' + JOINT}, ["type None", "cylinder"]),
-        ({"inside": GEOM.replace("0.03 ", "0.04 ") + JOINT}, ["'0.04 0.05'", "'0.03 0.05'"]),
-        ({"inside": GEOM.replace("0.05", "0.06") + JOINT}, ["'0.03 0.06'", "'0.03 0.05'"]),
-        ({"inside": GEOM.replace("0.03 0.05", "0.03") + JOINT}, ["'0.03'", "'0.03 0.05'"]),
+        ({"inside": GEOM.replace("0.03 0.05", "0.03") + JOINT}, ["'0.03'", "half height"]),
         ({"inside": GEOM.replace("0.03 0.05", "thin") + JOINT}, ["size 'thin'", "numbers"]),
         ({"inside": '<geom type="cylinder"/>' + JOINT}, ["no size"]),
-        ({"inside": GEOM.replace("1.", "2.5") + JOINT}, ["mass '2.5'", "1"]),
-        ({"inside": GEOM.replace("0.3 0.3 0.3", "0.7 0 0") + JOINT}, ["friction '0.7 0 0'", "0.3"]),
-        ({"inside": GEOM.replace("0.3 0.3 0.3", "") + JOINT}, ["friction ''", "0.3"]),
+        ({"inside": GEOM.replace("0.3 0.3 0.3", "") + JOINT}, ["friction ''", "a number"]),
         ({"inside": GEOM.replace("/>", ' pos="0 0 1"/>') + JOINT}, ["pos='0 0 1'", "own pose"]),
         ({"inside": GEOM.replace("/>", ' euler="1 0 0"/>') + JOINT}, ["euler='1 0 0'"]),
         ({"inside": JOINT}, ["0 geoms", "one cylinder"]),
@@ -166,6 +162,37 @@ def test_an_object_that_is_not_supported(refused, change, parts):
     assert message.startswith("object_2 ")
     for part in parts:
         assert part in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("0.03 ", "0.06 ", "object_2 has radius 0.06 m; expected within 0.015..0.05 m"),
+        ("0.05", "0.12", "object_2 has height 0.24 m; expected within 0.06..0.2 m"),
+        ("0.03 0.05", "0.02 0.05", "object_2 is 0.1 m high at a radius of 0.02 m, and would tip"),
+        ("1.", "9", "object_2 has mass 9 kg; expected within 0.05..5 kg"),
+        ("0.3 0.3 0.3", "2 0 0", "object_2 has friction 2; expected within 0.05..1"),
+    ],
+)
+def test_sizes_that_are_not_simulated(refused, old, new, message):
+    text = GEOM.replace(old, new)
+    z = 0.25 if new == "0.12" else 0.18
+    assert message in refused(replaced(2, pos=f"0.35 -0.1 {z}", inside=text + JOINT))
+
+
+def test_objects_of_other_sizes(tmp_path):
+    path = tmp_path / "sizes.xml"
+    large = GEOM.replace("0.03 0.05", "0.04 0.07").replace("1.", "2.5")
+    rough = GEOM.replace("0.3 0.3 0.3", "0.7 0 0")
+    second = body(2, "0.35 -0.1 0.2", inside=large + JOINT)
+    path.write_text(document(body(1), second, body(3, inside=rough + JOINT)))
+    scene = load_scene(path)
+    assert scene.radii.tolist() == [0.03, 0.04, 0.03]
+    assert scene.shelf is not None
+    assert scene.shelf.height.tolist() == pytest.approx([0.1, 0.14, 0.1])
+    assert scene.shelf.mass.tolist() == [1.0, 2.5, 1.0]
+    assert scene.shelf.friction.tolist() == [0.3, 0.3, 0.7]
+    assert scene.shelf.table_friction.tolist() == [0.5] * 3
 
 
 def test_an_object_without_a_place(refused):

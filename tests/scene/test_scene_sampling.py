@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from pgf_jax.errors import BadInput
 from pgf_jax.scene import (
-    PRESETS,
+    PUBLISHED_CLASSES,
     RADIUS,
     corridor_count,
     deeper_count,
@@ -38,7 +38,7 @@ DEEPER = {"tight": (3, 8), "medium": (2, 18), "wide": (1, 19)}
 CORRIDOR = {"tight": 4.0, "medium": 2.9, "wide": 1.9}
 
 
-@pytest.fixture(scope="module", params=PRESETS)
+@pytest.fixture(scope="module", params=PUBLISHED_CLASSES)
 def sampled(request):
     """A preset and COUNT scenes of it."""
     return request.param, [sample_scene(seed, request.param) for seed in range(COUNT)]
@@ -109,7 +109,7 @@ def test_medium_is_half_tight_half_wide():
 
 
 @settings(deadline=None, max_examples=100)
-@given(seed=SEEDS, preset=st.sampled_from(PRESETS))
+@given(seed=SEEDS, preset=st.sampled_from(PUBLISHED_CLASSES))
 def test_any_seed_gives_a_valid_scene_and_always_the_same(seed, preset):
     scene = sample_scene(seed, preset)
     validate(scene)
@@ -128,9 +128,9 @@ def test_any_seed_gives_a_valid_scene_and_always_the_same(seed, preset):
 @settings(deadline=None, max_examples=50)
 @given(seed=SEEDS, other=SEEDS)
 def test_presets_and_seeds_give_different_scenes(seed, other):
-    places = [tuple(sample_scene(seed, preset).objects[2]) for preset in PRESETS]
+    places = [tuple(sample_scene(seed, preset).objects[2]) for preset in PUBLISHED_CLASSES]
     if other != seed:
-        places += [tuple(sample_scene(other, preset).objects[2]) for preset in PRESETS]
+        places += [tuple(sample_scene(other, preset).objects[2]) for preset in PUBLISHED_CLASSES]
     assert len(set(places)) == len(places)
 
 
@@ -195,7 +195,10 @@ def test_a_name_can_be_given():
 
 
 def test_unknown_preset():
-    with pytest.raises(BadInput, match="preset: expected one of tight, medium, wide, got 'cosy'"):
+    with pytest.raises(
+        BadInput,
+        match="preset: expected one of tight, medium, wide, crowded, packed, mixed, got 'cosy'",
+    ):
         sample_scene(0, "cosy")
 
 

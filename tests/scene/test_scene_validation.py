@@ -73,10 +73,41 @@ def test_goal_not_an_index(goal):
 
 
 def test_other_radius():
-    message = refused([[0.4, 0.0, R], [0.4, 0.2, 0.04]])
+    message = refused([[0.4, 0.0, R], [0.4, 0.2, 0.06]])
     assert "object_2" in message
-    assert "0.04" in message
-    assert "0.03" in message
+    assert "0.06" in message
+    assert "0.015..0.05" in message
+    assert "at most 0.035 m" in refused([[0.4, 0.0, 0.04], [0.4, 0.2, R]])
+    scene = Scene("s", np.array([[0.4, 0.0, R], [0.4, 0.2, 0.04]]), 0)
+    assert scene.shelf is not None and scene.shelf.radius.tolist() == [R, 0.04]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"heights": [0.1]}, r"heights must be \[2\], one of each object, got shape \(1,\)"),
+        ({"heights": [0.1, 0.05]}, "object_2 has height 0.05 m; expected within 0.06..0.2 m"),
+        ({"heights": [0.1, 0.13]}, "object_2 is 0.13 m high .* would tip; expected at most 0.12 m"),
+        ({"masses": [-1.0, 1.0]}, "object_1 has mass -1 kg; expected within 0.05..5 kg"),
+        ({"masses": [math.nan, 1.0]}, "object_1 has mass nan kg"),
+        ({"masses": ["heavy", 1.0]}, r"masses must be numbers \[N\] mass, got"),
+        ({"table_frictions": [0.5, 0.0]}, "object_2 has table friction 0; expected within 0.1..1"),
+        ({"frictions": [0.5, 9.0]}, "object_2 has friction 9; expected within 0.05..1"),
+        ({"width": 0.3}, "the shelf has width 0.3 m; expected within 0.4..1.6 m"),
+        ({"depth": [0.3]}, r"depth must be a number, got \[0.3\]"),
+        ({"depth": 0.2}, r"object_1 at \(0.4, 0\) is outside the shelf"),
+    ],
+)
+def test_properties_that_are_not_simulated(changes, message):
+    with pytest.raises(BadInput, match=message):
+        Scene("s", np.array([[0.4, 0.0, R], [0.4, 0.2, R]]), 0, **changes)
+
+
+def test_what_is_given_as_standard_is_standard():
+    scene = Scene("s", np.array([[0.4, 0.0, R]]), 0, heights=[0.1], masses=[1], width=0.8)  # pyright: ignore[reportArgumentType]
+    assert scene.shelf is None and (scene.back_x, scene.side_y) == (0.59, 0.4)
+    deep = Scene("s", np.array([[0.6, 0.0, R]]), 0, depth=0.5)
+    assert deep.shelf is not None and deep.shelf.back_x == deep.back_x == 0.7
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ SOLID = WorldSpec("solid")
 
 @functools.cache
 def service() -> PlannerService:
-    return make_planner_service("planar", Physics(), Planner(), 8, 20)
+    return make_planner_service("planar", Physics(), Planner(), 8)
 
 
 def scene(robot: int, task: int):

@@ -14,7 +14,6 @@ from sweep_toys import Nudge, ways, write_scene
 from pgf_jax.batching.planner_service import make_planner_service
 from pgf_jax.batching.requests import Step
 from pgf_jax.batching.scheduler import BatchScheduler
-from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Fleet, FleetConfig, Work, WorkKind
 from pgf_jax.guidance.predictors.features import STATE
 from pgf_jax.guidance.predictors.true_gain import TrueGain
@@ -60,7 +59,7 @@ class Shared:
 
     def __init__(self, configs: Sequence[FleetConfig], predictors: Sequence[Any] = ()) -> None:
         self.planner_service, self.operator = (
-            make_planner_service("ghost", Physics(), Planner(), 4, 20),
+            make_planner_service("ghost", Physics(), Planner(), 4),
             Watched(),
         )
         self.steps: list[tuple] = []
@@ -151,7 +150,7 @@ class Counts:
 
 def test_what_an_operator_says_the_second_time_is_another_thing():
     """Even where nothing has happened since, as when it says "go on" before planning."""
-    on, said = make_planner_service("ghost", Physics(), Planner(), 4, 20), []
+    on, said = make_planner_service("ghost", Physics(), Planner(), 4), []
     search_cache = SearchCache(on, scenes=scene, operator=Counts(), seed=0)
     all_robots, scheduler = [PlannedRobots(search_cache) for _ in range(3)], BatchScheduler(on)
     for planned, times in zip(all_robots, (1, 2, 1), strict=True):
@@ -174,7 +173,7 @@ def test_what_an_operator_says_the_second_time_is_another_thing():
     data=st.data(),
 )
 def test_a_task_is_kept_until_all_that_retained_it_have_released_it(fleets, data):
-    planner = types.SimpleNamespace(begin_reach=lambda world, goal: None)
+    planner = types.SimpleNamespace(begin_reach=lambda world, goal, shelf: None)
     planner_service = types.SimpleNamespace(
         engine=types.SimpleNamespace(n_objects=20), planner=planner
     )
@@ -232,18 +231,13 @@ def test_a_fleet_that_begins_later_finds_what_others_left_for_it():
     assert asked == 2 * len(shared.steps) > 0 and len(shared.search_cache) == 0
 
 
-def test_a_scene_of_another_number_of_objects_is_named(tmp_path):
+def test_scenes_of_any_number_of_objects(tmp_path):
     path = tmp_path / "shelf.xml"
     write_scene(path, n_objects=4)
-    on = make_planner_service("ghost", Physics(), Planner(), 4, 20)
+    on = make_planner_service("ghost", Physics(), Planner(), 4)
     search_cache = SearchCache(on, scenes=lambda *_: load_scene(path), operator=Nudge(), seed=0)
-    planned = PlannedRobots(search_cache)
-    message = "scene shelf: has 4 objects, the engine simulates 20"
-    with pytest.raises(BadInput, match=message):
-        search_cache.task(0, 0)
-    with pytest.raises(BadInput, match=message):
-        list(run_fleets([PlannedFleet(Fleet(fleet("autonomous", 1, 1), planned), planned)], on))
-    assert len(search_cache) == 0
+    search = search_cache.task(0, 0).root.search
+    assert search.objects == 4 and search.shelf is None
 
 
 # -- nothing twice -------------------------------------------------------------------------------

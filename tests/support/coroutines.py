@@ -12,7 +12,7 @@ from pgf_jax.batching.requests import Coroutine, Request
 from pgf_jax.batching.scheduler import BatchScheduler
 from pgf_jax.physics.config import Physics
 from pgf_jax.planning.config import Planner
-from pgf_jax.planning.planner import Search, start_world
+from pgf_jax.planning.search import Search, start_world
 from pgf_jax.planning.types import Push
 from pgf_jax.scene import sample_scene
 
@@ -25,7 +25,7 @@ HOPELESS = {0: Push(6, 0.3, 0.0), 2: Push(6, 0.3, 0.0)}
 
 def native(lanes: int = 2) -> PlannerService:
     """A planner service of C MuJoCo."""
-    return make_planner_service("native", Physics(), Planner(), lanes, 20)
+    return make_planner_service("native", Physics(), Planner(), lanes)
 
 
 def run(coroutine: Coroutine, on: PlannerService | None = None) -> Any:

@@ -5,9 +5,10 @@ import math
 import numpy as np
 
 from pgf_jax.physics import hand
-from pgf_jax.physics.engine import MAX_CONTACTS, Rollout
+from pgf_jax.physics.engine import Rollout, contact_slots
 
 KNOTS = 8
+SLOTS = contact_slots(20)
 
 
 def ee_of(pose):
@@ -131,7 +132,7 @@ def stomp_update(controls, noisy, totals, h=10.0):
     return sum(w * np.asarray(x, float) for w, x in zip(weights, noisy, strict=True))
 
 
-def still(objects, pose, knots=KNOTS, contacts=MAX_CONTACTS):
+def still(objects, pose, knots=KNOTS, contacts=SLOTS):
     """A rollout in which nothing moves or touches."""
     objects = np.asarray(objects, np.float32)
     return Rollout(

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
+from pgf_jax.physics.engine import Rollout, World, contact_slots
 from pgf_jax.physics.native import NativeEngine
 
 AGAIN = 8  # every so many that are remembered are computed all the same: they must be equal
@@ -23,8 +23,9 @@ def remembered_rollouts() -> Iterator[None]:
     kept: dict[tuple, list[np.ndarray]] = {}
     recalled = 0
 
-    def rollout(self, start, controls, gripper, substeps, wanted=None) -> Rollout:
+    def rollout(self, start, controls, gripper, substeps, wanted=None, shelf=None) -> Rollout:
         nonlocal recalled
+        assert shelf is None, "remembered are rollouts on standard shelves"
         start = World(*(np.asarray(x, np.float64) for x in start))
         controls, gripper = np.asarray(controls, np.float64), np.asarray(gripper, np.float64)
         wanted = np.ones(len(controls), bool) if wanted is None else np.array(wanted, bool)
@@ -44,7 +45,7 @@ def remembered_rollouts() -> Iterator[None]:
         for i, key in keys.items():
             recalled += key in kept
             compute[i] = key not in kept or recalled % AGAIN == 0
-        (b, t), n, c = gripper.shape, self.n_objects, MAX_CONTACTS
+        (b, t), n, c = gripper.shape, self.n_objects, contact_slots(self.n_objects)
         out = Rollout(
             objects=np.full((b, t, n, 2), np.nan),
             hand=np.full((b, t, 3), np.nan),

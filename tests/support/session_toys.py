@@ -14,7 +14,7 @@ from pgf_jax.console.session import Frame, Session
 from pgf_jax.console.session_spec import SessionSpec
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.fleet.policies import AskWhenStuck, Discipline, register_policy
-from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, register_engine
+from pgf_jax.physics.engine import Rollout, contact_slots, register_engine
 from pgf_jax.planning.types import Push
 from pgf_jax.tables.event_log import JOURNAL
 
@@ -30,7 +30,7 @@ class Phantom:
     def __init__(self, physics, n_objects, *, lanes=1):
         self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
 
-    def rollout(self, start, controls, gripper, substeps, wanted=None):
+    def rollout(self, start, controls, gripper, substeps, wanted=None, shelf=None):
         b, t = np.shape(gripper)
         luck = 9e3 * np.asarray(start.objects, np.float64).sum((1, 2)) % 1
         grip = np.maximum(0.0, 1.2 * luck - 0.2)
@@ -40,8 +40,8 @@ class Phantom:
             objects=np.repeat(np.asarray(start.objects)[:, None], t, axis=1),
             hand=np.asarray(start.hand)[:, None] + moved,
             velocities=np.zeros_like(np.asarray(start.objects)),
-            force=np.zeros((b, t, MAX_CONTACTS), np.float32),
-            bodies=np.zeros((b, t, MAX_CONTACTS, 2), np.int32),
+            force=np.zeros((b, t, contact_slots(self.n_objects)), np.float32),
+            bodies=np.zeros((b, t, contact_slots(self.n_objects), 2), np.int32),
         )
 
 

@@ -15,7 +15,7 @@ from pgf_jax.guidance.operators.registry import register_operator
 from pgf_jax.guidance.predictors import checkpoint
 from pgf_jax.guidance.predictors.features import FEATURES
 from pgf_jax.guidance.predictors.network import combine, init
-from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, register_engine
+from pgf_jax.physics.engine import Rollout, contact_slots, register_engine
 from pgf_jax.planning.types import Push
 from pgf_jax.sweeping.config import SweepConfig
 
@@ -37,7 +37,7 @@ class Ghost:
     def __init__(self, physics, n_objects, *, lanes=1):
         self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
 
-    def rollout(self, start, controls, gripper, substeps, wanted=None):
+    def rollout(self, start, controls, gripper, substeps, wanted=None, shelf=None):
         b, t = np.shape(gripper)
         luck = GRIP_SCALE * np.asarray(start.objects, np.float64).sum((1, 2)) % 1
         grip = np.maximum(0.0, 1.2 * luck - 0.2)
@@ -48,8 +48,8 @@ class Ghost:
             objects=still,
             hand=np.asarray(start.hand)[:, None] + moved,
             velocities=np.zeros_like(np.asarray(start.objects)),
-            force=np.zeros((b, t, MAX_CONTACTS), np.float32),
-            bodies=np.zeros((b, t, MAX_CONTACTS, 2), np.int32),
+            force=np.zeros((b, t, contact_slots(self.n_objects)), np.float32),
+            bodies=np.zeros((b, t, contact_slots(self.n_objects), 2), np.int32),
         )
 
 

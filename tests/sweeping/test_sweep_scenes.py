@@ -10,7 +10,7 @@ from sweep_toys import ghost
 from pgf_jax.errors import BadInput
 from pgf_jax.inspection.config import VerifyConfig
 from pgf_jax.inspection.verify import verify
-from pgf_jax.scene import Scene, sample_scene
+from pgf_jax.scene import PRESETS, Scene, sample_scene
 from pgf_jax.scene.file import read_scenes, save_scenes
 from pgf_jax.sweeping.config import SCENES
 from pgf_jax.sweeping.sweep import sweep
@@ -52,10 +52,45 @@ def test_scenes_that_do_not_go_together(tmp_path):
     twice = [sample_scene(0, "tight"), sample_scene(0, "tight")]
     with pytest.raises(BadInput, match=r"^scenes: expected scenes of different names"):
         sweep(ghost(tmp_path, scenes=twice), quiet=True)
-    small = Scene("small", np.array([[0.4, 0.0, 0.03]]), 0)
-    with pytest.raises(BadInput, match=r"^scenes: small has 1 objects, expected 20 as in tight_0"):
-        sweep(ghost(tmp_path, scenes=[*scenes(1), small]), quiet=True)
     assert not (tmp_path / SCENES).exists()
+
+
+def test_scenes_of_different_sizes_share_a_sweep(tmp_path):
+    """Each is as in a sweep without the others."""
+    several = [*scenes(1), sample_scene(0, "crowded"), sample_scene(1, "mixed")]
+    config = ghost(tmp_path / "all", scenes=several, robots=(1,), tasks=3, policies=("autonomous",))
+    together = sweep(config, quiet=True)
+    saved = read_scenes(config.out / SCENES)
+    assert [len(s.objects) for s in saved] == [len(s.objects) for s in several]
+    own = ("scene", "status", "planning_time_s", "iterations", "cost", "c_d", "c_f", "c_b")
+    for scene in several:
+        alone = sweep(
+            dataclasses.replace(config, scenes=(scene,), tasks=1, out=tmp_path / scene.name),
+            quiet=True,
+        )
+        # The same place among the robot's tasks, so that the noise is the same.
+        first = together.tasks().filter(scene=scene.name)
+        assert len(first) == 1
+        if first["task"][0] == 0:
+            assert first.select(own).equals(alone.tasks().select(own))
+
+
+def test_a_sweep_of_every_class(tmp_path):
+    config = ghost(
+        tmp_path / "every",
+        scene_class="every",
+        robots=(6,),
+        tasks=1,
+        policies=("autonomous",),
+    )
+    every = sweep(config, quiet=True).tasks()
+    assert [name.split("_")[0] for name in every.sort("robot")["scene"]] == [*PRESETS]
+    for robot in (2, 3, 5):
+        one = dataclasses.replace(config, scene_class=PRESETS[robot], out=tmp_path / f"{robot}")
+        alone = sweep(one, quiet=True).tasks().filter(robot=robot)
+        settings = ("scene_class", "cell", "sha256")
+        columns = [name for name in every.columns if name not in settings]
+        assert every.filter(robot=robot).select(columns).equals(alone.select(columns))
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from sweep_toys import (
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.config import Cell
 from pgf_jax.parallel.local import Stopped
-from pgf_jax.scene.sampling import PRESETS
+from pgf_jax.scene.sampling import PUBLISHED_CLASSES
 from pgf_jax.sweeping import cell_file, worker
 from pgf_jax.sweeping.config import SweepConfig
 from pgf_jax.sweeping.resolve import resolve, task_scenes
@@ -326,9 +326,9 @@ def test_all_classes_come_in_turn():
     config = SweepConfig(scene_class="all", seed=3)
     for robot in range(4):
         names = [task_scenes(config).scene(robot, task).name for task in range(6)]
-        turns = [PRESETS[(robot + task) % 3] for task in range(6)]
+        turns = [PUBLISHED_CLASSES[(robot + task) % 3] for task in range(6)]
         assert names == [f"{turn}_3_{robot}_{task}" for task, turn in enumerate(turns)]
-        assert sorted(turns) == sorted(PRESETS * 2)
+        assert sorted(turns) == sorted(PUBLISHED_CLASSES * 2)
     # At all times the classes are mixed over the fleet.
     for task in range(6):
         drawn = [task_scenes(config).scene(robot, task).name for robot in range(3)]
@@ -345,7 +345,7 @@ def test_scenes_of_a_class_are_those_of_its_own_sweep(seed):
                 each: task_scenes(
                     SweepConfig(scene_class=each, seed=seed)  # pyright: ignore[reportArgumentType]
                 ).scene(robot, task)
-                for each in PRESETS
+                for each in PUBLISHED_CLASSES
             }
             assert scene.name == own[name].name and scene.goal == own[name].goal
             equal = {each for each in own if (own[each].objects == scene.objects).all()}
@@ -357,7 +357,7 @@ def test_all_classes_are_the_same_for_every_policy_and_size(toys, tmp_path):
     result = sweep(config, quiet=True)
     scenes = result.tasks().group_by("robot", "task").agg(pl.col("scene").unique()).sort(pl.all())
     assert scenes["scene"].list.len().to_list() == [1] * 9
-    named = [f"{PRESETS[(r + t) % 3]}_0_{r}_{t}" for r in range(3) for t in range(3)]
+    named = [f"{PUBLISHED_CLASSES[(r + t) % 3]}_0_{r}_{t}" for r in range(3) for t in range(3)]
     assert scenes["scene"].explode().to_list() == named
     manifest = json.loads((result.out / "manifest.json").read_text())
     assert manifest["scenes"] == {"class": "all", "objects": 20}

@@ -12,7 +12,8 @@ from pgf_jax.planning.types import UNANSWERED, NoInput, Push
 
 if TYPE_CHECKING:  # the planner needs JAX, and the command line lists the operators
     from pgf_jax.batching.requests import Coroutine
-    from pgf_jax.planning.planner import BatchPlanner, Search
+    from pgf_jax.planning.planner import BatchPlanner
+    from pgf_jax.planning.search import Search
 
 
 class Operator(Protocol):

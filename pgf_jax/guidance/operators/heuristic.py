@@ -28,9 +28,10 @@ from pgf_jax.guidance.trials import simulate_input
 from pgf_jax.guidance.view import DecisionKey, View
 from pgf_jax.physics import hand
 from pgf_jax.planning.nominal import PUSH_BEHIND, PUSH_SHORT, REACH_SHORT
-from pgf_jax.planning.planner import RETREAT_M, BatchPlanner, Search
+from pgf_jax.planning.planner import RETREAT_M, BatchPlanner
+from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import Push
-from pgf_jax.scene.scene import BACK_WALL_X, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene.shelf import RADIUS
 from pgf_jax.scene.statistics import CORRIDOR_HALF_WIDTH
 
 
@@ -67,9 +68,8 @@ HALF_CLOSED, AHEAD = 0.055, 0.067  # the closed hand: half its breadth, its reac
 DISTANCES = (0.06, 0.10, 0.15, 0.20)  # m
 DIRECTIONS = 16
 FRONT_MOST = 0.28  # m, x of targets: an object that the retreat drags off the front costs (c_e)
-# Corners, m, of where targets may be: clear of the walls by a little more than the object's radius.
-TARGETS_LOW = np.array([FRONT_MOST, -(SIDE_WALL_Y - 1.6 * RADIUS)])
-TARGETS_HIGH = np.array([BACK_WALL_X - 1.6 * RADIUS, SIDE_WALL_Y - 1.6 * RADIUS])
+# m from the walls to the targets of standard objects: a little more than their radius.
+FROM_WALLS = 1.6 * RADIUS
 
 
 class HeuristicOperator:
@@ -126,7 +126,7 @@ class HeuristicOperator:
 
     def _cost(self, view: View, pushed: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """[P] cost of each candidate, by geometry."""
-        w, objects = self.weights, view.objects
+        w, objects, radii, larger = self.weights, view.objects, view.radii, view.larger
         n = len(objects)
         yaw = view.hand[2] + hand.POINTING_YAW
         ahead = np.array([np.cos(yaw), np.sin(yaw)])
@@ -135,21 +135,26 @@ class HeuristicOperator:
         length = np.linalg.norm(along, axis=1)
         along = along / length[:, None]
         forward = along @ ahead
-        behind, stop = start - PUSH_BEHIND * along, targets - PUSH_SHORT * along
+        more = larger[pushed, None]
+        behind, stop = start - (PUSH_BEHIND + more) * along, targets - (PUSH_SHORT + more) * along
 
         # The push itself.
         others = np.arange(n)[None] != pushed[:, None]  # [P, N]
         to_goal = np.linalg.norm(objects[view.goal] - start, axis=1)
-        hits_goal = segment_distance(objects, start, targets)[:, view.goal] < 2 * RADIUS
+        touching = radii[pushed] + radii[view.goal]
+        hits_goal = segment_distance(objects, start, targets)[:, view.goal] < touching
         tip = AHEAD * ahead
-        hand_at_goal = segment_distance(objects, behind + tip, stop + tip)[:, view.goal] < 0.085
-        beside = segment_distance(objects, behind - 0.1 * ahead, behind + tip) < HALF_CLOSED
+        by_goal = 0.085 + larger[view.goal]
+        hand_at_goal = segment_distance(objects, behind + tip, stop + tip)[:, view.goal] < by_goal
+        breadth = HALF_CLOSED + larger
+        beside = segment_distance(objects, behind - 0.1 * ahead, behind + tip) < breadth
         # An object in front of the hand at the end is a blocking cost.
         to = objects[None] - stop[:, None]
         bearing = wrap(np.arctan2(to[..., 1], to[..., 0]) - yaw)
-        in_front = (np.hypot(np.linalg.norm(to, axis=-1), 0.09 * bearing) < 0.085) & others
+        away = np.hypot(np.linalg.norm(to, axis=-1), 0.09 * bearing)
+        in_front = (away < 0.085 + larger) & others
         yaws = np.full(len(pushed), view.hand[2])
-        push_wall = into_walls(behind, yaws, CLOSED) + into_walls(stop, yaws, CLOSED)
+        push_wall = into_walls(view, behind, yaws, CLOSED) + into_walls(view, stop, yaws, CLOSED)
 
         # Then the hand retracts, and reaches for the goal along a new corridor.
         after = np.broadcast_to(objects, (len(pushed), n, 2)).copy()
@@ -182,16 +187,16 @@ class HeuristicOperator:
         aside = np.abs(rel[..., 1] * line[:, None, 0] - rel[..., 0] * line[:, None, 1])
         inside = (forward > 0) & (forward < length[:, None] + 0.02)
         # An object in the middle blocks; one at the corridor's edge is brushed aside.
-        blockers = (
-            np.clip((CORRIDOR_HALF_WIDTH + RADIUS - aside) / CORRIDOR_HALF_WIDTH, 0, 1) * inside
-        )
+        reaching = CORRIDOR_HALF_WIDTH + view.radii
+        blockers = np.clip((reaching - aside) / CORRIDOR_HALF_WIDTH, 0, 1) * inside
         blockers[:, view.goal] = 0
         blockers = blockers * (1 + culprits(view))
         # The reach nominal turns by half the goal's angle as seen from the base (`nominal.reach`).
         c, s = np.cos(view.hand[2]), np.sin(view.hand[2])
         seen = goal - ee + np.array([[c, -s], [s, c]]) @ hand.EE_POINT
         turn = 0.5 * wrap(np.arctan2(seen[:, 1], seen[:, 0]) - yaw)
-        wall = into_walls(goal - REACH_SHORT * line, view.hand[2] + turn, OPEN)
+        short = REACH_SHORT + view.larger[view.goal]
+        wall = into_walls(view, goal - short * line, view.hand[2] + turn, OPEN)
         return (
             w.room * length
             + w.angle * np.abs(turn)
@@ -207,6 +212,15 @@ def candidates(view: View) -> tuple[np.ndarray, np.ndarray]:
     steps = np.array([[d * np.cos(a), d * np.sin(a)] for d in DISTANCES for a in angles])
     pushed = np.repeat(np.arange(n), len(steps))
     targets = view.objects[pushed] + np.tile(steps, (n, 1))
-    allowed = ((targets > TARGETS_LOW) & (targets < TARGETS_HIGH)).all(1)
+    low, high = target_bounds(view, pushed)
+    allowed = ((targets > low) & (targets < high)).all(1)
     keep = allowed & (pushed != view.goal)
     return pushed[keep], targets[keep]
+
+
+def target_bounds(view: View, pushed: int | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest (x, y) of targets of an object, or of [P] objects: [2] or [P, 2], m."""
+    away = FROM_WALLS + view.larger[pushed]
+    side = view.side_y - away
+    low = np.stack([np.full_like(side, FRONT_MOST), -side], axis=-1)
+    return low, np.stack([view.back_x - away, side], axis=-1)

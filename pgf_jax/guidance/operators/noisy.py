@@ -11,9 +11,10 @@ import numpy as np
 
 from pgf_jax.batching.requests import Coroutine
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance.operators.heuristic import TARGETS_HIGH, TARGETS_LOW, HeuristicOperator
+from pgf_jax.guidance.operators.heuristic import HeuristicOperator, target_bounds
 from pgf_jax.guidance.view import DecisionKey, View
-from pgf_jax.planning.planner import BatchPlanner, Search
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import Push
 from pgf_jax.streams import stream
 
@@ -64,9 +65,9 @@ class NoisyOperator:
         if uniform[0] < self.wrong:
             pushed = _neighbour(intended.object, view)
             moved = view.objects[pushed] - view.objects[intended.object]
-            target = _on_shelf(target + moved)
+            target = _on_shelf(target + moved, view, pushed)
         if uniform[1] < self.misplaced:
-            target = _on_shelf(target + self.sd_m * normal)
+            target = _on_shelf(target + self.sd_m * normal, view, pushed)
         return Push(pushed, *map(float, target))
 
 
@@ -78,9 +79,9 @@ def _neighbour(pushed: int, view: View) -> int:
     return nearest if np.isfinite(distance[nearest]) else pushed
 
 
-def _on_shelf(target: np.ndarray) -> np.ndarray:
-    """The nearest allowed target [2], m."""
-    return np.clip(target, TARGETS_LOW, TARGETS_HIGH)
+def _on_shelf(target: np.ndarray, view: View, pushed: int) -> np.ndarray:
+    """The nearest allowed target [2] of an object, m."""
+    return np.clip(target, *target_bounds(view, pushed))
 
 
 def _draws(decision_key: DecisionKey) -> tuple[np.ndarray, np.ndarray]:

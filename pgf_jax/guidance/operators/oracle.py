@@ -15,7 +15,8 @@ from pgf_jax.batching.requests import Coroutine, gather, robot_key_path, trial_k
 from pgf_jax.guidance.operators.heuristic import HeuristicOperator, candidates
 from pgf_jax.guidance.trials import Trial, simulate_input
 from pgf_jax.guidance.view import DecisionKey, View
-from pgf_jax.planning.planner import BatchPlanner, Search
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import Push
 from pgf_jax.streams import stream
 

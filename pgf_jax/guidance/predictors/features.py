@@ -14,11 +14,10 @@ import numpy as np
 from pgf_jax.guidance.geometry import culprits, end_effector, wrap
 from pgf_jax.guidance.view import View
 from pgf_jax.physics import hand
-from pgf_jax.scene.scene import BACK_WALL_X, RADIUS, SIDE_WALL_Y
 from pgf_jax.scene.statistics import CORRIDOR_HALF_WIDTH
 
 if TYPE_CHECKING:  # the planner needs JAX, and modules that only read or write tables do not
-    from pgf_jax.planning.planner import Search
+    from pgf_jax.planning.search import Search
 
 HISTORY = 3  # P
 # Feature -> its meaning, with its unit.
@@ -108,12 +107,15 @@ def state_features(search: "Search") -> np.ndarray:
     rel = view.objects - ee
     along, aside = rel @ line, rel[:, 0] * line[1] - rel[:, 1] * line[0]
     other = np.arange(n) != goal
-    inside = (along > 0) & (along < length - 0.01) & (np.abs(aside) < CORRIDOR_HALF_WIDTH) & other
+    inside = (
+        (along > 0) & (along < length - 0.01) & (np.abs(aside) < CORRIDOR_HALF_WIDTH + view.larger)
+    )
+    inside &= other
     base = goal_xy - view.hand[:2]
     turn = 0.5 * wrap(np.arctan2(base[1], base[0]) - pointing)
     near_side = 1.0 if goal_xy[1] >= 0 else -1.0
-    near = np.linalg.norm(view.objects - goal_xy, axis=1)
-    by_wall = near_side * (view.objects[:, 1] - goal_xy[1]) > RADIUS
+    close = np.linalg.norm(view.objects - goal_xy, axis=1) < 0.09 + view.larger + view.larger[goal]
+    by_wall = near_side * (view.objects[:, 1] - goal_xy[1]) > view.radii
     state = np.array(
         [
             *paper,
@@ -125,20 +127,20 @@ def state_features(search: "Search") -> np.ndarray:
             search.value.distance,
             wrap(np.arctan2(to_end[1], to_end[0]) - pointing_end),
             moved[goal],
-            SIDE_WALL_Y - abs(end[goal, 1]),
-            BACK_WALL_X - end[goal, 0],
+            view.side_y - abs(end[goal, 1]),
+            view.back_x - end[goal, 0],
             culprits(view).sum(),
             np.log10(1 + force.max()),
             (moved > 0.01).sum(),
             goal_xy[0],
-            SIDE_WALL_Y - abs(goal_xy[1]),
+            view.side_y - abs(goal_xy[1]),
             length,
             near_side * turn,
             (view.objects[:, 0] > goal_xy[0]).sum(),
             inside.sum(),
             (inside & (length - along < 0.12)).sum(),
-            (other & (near < 0.09)).sum(),
-            (other & (near < 0.09) & by_wall).sum(),
+            (other & close).sum(),
+            (other & close & by_wall).sum(),
         ],
         dtype=np.float64,
     )

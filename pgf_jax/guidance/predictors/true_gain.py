@@ -8,7 +8,8 @@ from pgf_jax.batching.places import Place
 from pgf_jax.batching.requests import Coroutine, Request, gather, robot_key_path
 from pgf_jax.guidance.trials import simulate_input
 from pgf_jax.guidance.view import DecisionKey
-from pgf_jax.planning.planner import BatchPlanner, Search
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import LOOK_AHEAD
 
 

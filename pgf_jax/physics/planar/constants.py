@@ -1,42 +1,60 @@
-"""Constants of engine `planar`, read from the compiled model so that no number is given twice."""
+"""Constants of engine `planar`, read from the compiled model so that no number is given twice.
+
+Objects that are all standard have numbers in common. Of others, each has its own (`of_shelf`), as
+data of the program: [N, C], objects by lanes; `taken` picks those that take part in a knot.
+"""
 
 # MuJoCo's compiled modules come without type stubs.
 # pyright: reportAttributeAccessIssue=false
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from pgf_jax.errors import BadInput
 from pgf_jax.physics import model
 from pgf_jax.physics.config import Physics
+from pgf_jax.physics.planar.fusion import rows
+from pgf_jax.scene import shelf as standard
+from pgf_jax.scene.shelf import Shelf
 
 N_WALLS = 2  # the back wall, and either side wall: they are alike
+DECELERATION = 3.0  # m/s^2 at least, of a sliding standard object: with a margin
+Each = Any  # of an object: a float where all are standard, or [N, C]
 
 
 class Constants(NamedTuple):
-    """Numbers of one compiled model; C capsules."""
+    """Numbers of one compiled model; G capsules."""
 
     substep_s: float
-    mass: float  # with armature, kg
+    armature: float  # kg
     damping: float  # N s/m
-    radius: float  # of an object, m
-    back_x: float  # faces of the walls, m
-    side_y: float
     reference: float  # b of every row: its reference acceleration is -b velocity - k imp gap, 1/s
     stiffness: float  # k imp, 1/s^2
+    softness: float  # (1 - imp) / imp of every row
     friction_reference: float  # b of joint friction
-    friction_weight: float  # D of joint friction, kg
-    friction_loss: float  # N
-    capsule_radii: np.ndarray  # [C] m
-    capsule_lengths: np.ndarray  # [C] of their axes, m
-    hand_friction: float  # mu of the hand against an object
-    hand_weight: float  # D of a pyramid edge, kg
-    wall_friction: tuple[float, float]  # of the back wall and of the side walls
-    wall_weight: tuple[float, float]
-    pair_friction: float
-    pair_weight: float
+    capsule_radii: np.ndarray  # [G] m
+    capsule_lengths: np.ndarray  # [G] of their axes, m
+    back_x: Any  # faces of the walls, m: a float or [C]
+    side_y: Any
+    radius: Each  # m
+    mass: Each  # with armature, kg
+    inverse_weight: Each  # 1/kg
+    friction: Each  # mu of the object against another of its kind
+    friction_weight: Each  # D of joint friction, kg
+    friction_loss: Each  # N
+    deceleration: Each  # m/s^2 at least, of a sliding object
+    hand_friction: Each  # mu of the hand against an object
+    hand_weight: Each  # D of a pyramid edge, kg
+    wall_friction: tuple[Each, Each]  # of the back wall and of the side walls
+    wall_weight: tuple[Each, Each]
+    # Of two objects: a float, or [T, C] of those that are taken.
+    pair_reach: Any  # distance at which they touch, m
+    pair_friction: Any
+    pair_weight: Any
 
 
 def read(physics: Physics, n_objects: int) -> Constants:
@@ -71,17 +89,14 @@ def read(physics: Physics, n_objects: int) -> Constants:
     weight0 = one("inverse weight", m.body_invweight0[m.geom_bodyid[objects], 0])
     mu = one("object friction", m.geom_friction[objects, 0])
 
-    def edge_weight(inverse_weight: float, friction: float) -> float:
-        regular = (1 - impedance) / impedance * inverse_weight * (1 + friction**2)
-        return 1 / (2 * friction**2 * regular)
-
+    softness = (1 - impedance) / impedance
     ground = [*capsules, walls[0], walls[1]]
     if not np.array_equal(m.geom_friction[walls[1]], m.geom_friction[walls[2]]):
         raise BadInput("engine planar: the side walls must have the same friction")
     frictions = np.array([max(mu, m.geom_friction[g, 0]) for g in ground])
     weights = np.array(
         [
-            edge_weight(weight0 + m.body_invweight0[m.geom_bodyid[g], 0], friction)
+            _edge_weight(softness, weight0 + m.body_invweight0[m.geom_bodyid[g], 0], friction)
             for g, friction in zip(ground, frictions, strict=True)
         ]
     )
@@ -89,28 +104,127 @@ def read(physics: Physics, n_objects: int) -> Constants:
     if np.ptp(weights[:-N_WALLS]) > 1e-5 * weights[0]:
         raise BadInput("engine planar: the hand's bodies must have the same inverse weight")
     dof_weight = one("dof inverse weight", m.dof_invweight0[dofs])
+    radius, armature = one("radius", m.geom_size[objects, 0]), one("armature", m.dof_armature[dofs])
     return Constants(
         substep_s=m.opt.timestep,
-        mass=one("mass", m.body_mass[m.geom_bodyid[objects]])
-        + one("armature", m.dof_armature[dofs]),
+        armature=armature,
         damping=one("damping", np.ravel(m.dof_damping[dofs])),
-        radius=one("radius", m.geom_size[objects, 0]),
-        back_x=float(m.geom_pos[walls[0], 0]),
-        side_y=float(m.geom_pos[walls[1], 1]),
         reference=b,
         stiffness=k * impedance,
+        softness=softness,
         friction_reference=friction_b,
-        friction_weight=friction_impedance / (1 - friction_impedance) / dof_weight,
-        friction_loss=one("frictionloss", m.dof_frictionloss[dofs]),
         capsule_radii=m.geom_size[capsules, 0].copy(),
         capsule_lengths=2 * m.geom_size[capsules, 1],
+        back_x=float(m.geom_pos[walls[0], 0]),
+        side_y=float(m.geom_pos[walls[1], 1]),
+        radius=radius,
+        mass=one("mass", m.body_mass[m.geom_bodyid[objects]]) + armature,
+        inverse_weight=weight0,
+        friction=mu,
+        friction_weight=friction_impedance / (1 - friction_impedance) / dof_weight,
+        friction_loss=one("frictionloss", m.dof_frictionloss[dofs]),
+        deceleration=DECELERATION,
         hand_friction=one("hand friction", frictions[:-N_WALLS]),
         hand_weight=float(weights[0]),
         wall_friction=(float(frictions[-2]), float(frictions[-1])),
         wall_weight=(float(weights[-2]), float(weights[-1])),
+        pair_reach=2 * radius,
         pair_friction=mu,
-        pair_weight=edge_weight(2 * weight0, mu),
+        pair_weight=_edge_weight(softness, 2 * weight0, mu),
     )
+
+
+def of_shelf(c: Constants, shelf: Shelf) -> Constants:
+    """The constants where each object has its own; those of pairs are filled in by `taken`.
+
+    Args:
+      c: of standard objects.
+      shelf: [N, C] of the objects, [C] of the walls.
+    """
+    share = shelf.mass / standard.MASS
+    mass = (c.mass - c.armature) * share + c.armature
+    lighter = c.mass / mass
+    inverse_weight = c.inverse_weight * lighter
+    loss = share * shelf.table_friction / standard.TABLE_FRICTION
+    rough = shelf.friction / standard.FRICTION
+
+    def against(friction: float) -> tuple[Each, Each]:
+        """Friction and weight of the contacts with a body that cannot be moved."""
+        mu = friction * rough
+        return mu, _edge_weight(c.softness, inverse_weight, mu)
+
+    hand, back, side = (against(mu) for mu in (c.hand_friction, *c.wall_friction))
+    return c._replace(
+        back_x=shelf.back_x,
+        side_y=shelf.side_y,
+        radius=shelf.radius,
+        mass=mass,
+        inverse_weight=inverse_weight,
+        friction=c.friction * rough,
+        friction_weight=c.friction_weight / lighter,
+        friction_loss=c.friction_loss * loss,
+        deceleration=c.deceleration * loss * lighter,
+        hand_friction=hand[0],
+        hand_weight=hand[1],
+        wall_friction=(back[0], side[0]),
+        wall_weight=(back[1], side[1]),
+        pair_reach=None,
+        pair_friction=None,
+        pair_weight=None,
+    )
+
+
+def taken(c: Constants, which: jax.Array, first: np.ndarray, second: np.ndarray) -> Constants:
+    """The constants of some of the objects.
+
+    Args:
+      c: of standard objects, which stay as they are; or of all [N, C].
+      which: [A, C] numbers of the objects.
+      first, second: [T] places in A of each pair.
+    """
+    if not _own(c):
+        return c
+
+    def pick(values: Any) -> Any:
+        return jax.tree.map(lambda v: jnp.take_along_axis(v, which, 0), values)
+
+    radius, weight, mu = pick((c.radius, c.inverse_weight, c.friction))
+    pair_mu = jnp.maximum(rows(mu, first), rows(mu, second))
+    both = rows(weight, first) + rows(weight, second)
+    return c._replace(
+        radius=radius,
+        inverse_weight=weight,
+        friction=mu,
+        **{name: pick(getattr(c, name)) for name in _OF_OBJECTS},
+        pair_reach=rows(radius, first) + rows(radius, second),
+        pair_friction=pair_mu,
+        pair_weight=_edge_weight(c.softness, both, pair_mu),
+    )
+
+
+# Beside radius, inverse weight and friction.
+_OF_OBJECTS = ("mass", "friction_weight", "friction_loss", "deceleration", "hand_friction")
+_OF_OBJECTS += ("hand_weight", "wall_friction", "wall_weight")
+
+
+def head(values: Each, count: int) -> Each:
+    """Of the first objects."""
+    return values if isinstance(values, float) else values[:count]
+
+
+def reach_of(one: Each, other: Each) -> Any:
+    """Distance at which any of some objects [A, C] and any of others [B, C] touch: [A, B, C]."""
+    return one + other if isinstance(one, float) else one[:, None] + other[None]
+
+
+def _own(c: Constants) -> bool:
+    """Whether each object has its own."""
+    return not isinstance(c.radius, float)
+
+
+def _edge_weight(softness: float, inverse_weight: Any, friction: Any) -> Any:
+    """D of a pyramid's edge."""
+    return 1 / (2 * friction**2 * (softness * inverse_weight * (1 + friction**2)))
 
 
 def _impedance(solimp: np.ndarray) -> float:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgf_jax.physics import hand as hand_shape
-from pgf_jax.physics.planar.constants import Constants
+from pgf_jax.physics.planar.constants import Constants, head
 from pgf_jax.physics.planar.fusion import rows, written_out
 
 # P of a row that is not in contact: positive, so that it costs nothing.
@@ -70,14 +70,14 @@ def build(
     shorten = jnp.asarray(1 / c.capsule_lengths**2, x.dtype)[:, None, None]
     t = jnp.clip((rx * ex + ry * ey) * shorten, 0.0, 1.0)
     nx, ny, distance = written_out(one, lambda: _unit(rx - t * ex, ry - t * ey))
-    gap = distance - jnp.asarray(c.radius + c.capsule_radii, x.dtype)[:, None, None]
+    gap = distance - _hand_reach(c, near, x.dtype)
     # The contact point lies half the gap inside.
-    reach = c.radius + 0.5 * gap
+    reach = head(c.radius, near) + 0.5 * gap
     px, py = hx - nx * reach, hy - ny * reach
     vx0, vy0, spin = (rows(v, hand_shape.CAPSULE_BODY)[:, None] for v in hand.twist)
     ux, uy = vx0 - spin * py, vy0 + spin * px
     hand_p = c.stiffness * gap - b * (nx * ux + ny * uy)
-    hand_q = -b * c.hand_friction * (nx * uy - ny * ux)
+    hand_q = -b * head(c.hand_friction, near) * (nx * uy - ny * ux)
     in_slots, slots = _slots(gap < 0, (nx, ny, hand_p, hand_q), one)
     # Pairs of objects.
     first, second = pairs(len(x))
@@ -96,8 +96,15 @@ def build(
         side_p=jnp.where(side < 0, c.stiffness * side, APART),
         side=jnp.where(y > 0, 1.0, -1.0),
         pair_n=(pair_nx, pair_ny),
-        pair_p=jnp.where(apart < 2 * c.radius, c.stiffness * (apart - 2 * c.radius), APART),
+        pair_p=jnp.where(apart < c.pair_reach, c.stiffness * (apart - c.pair_reach), APART),
     )
+
+
+def _hand_reach(c: Constants, near: int, dtype: jnp.dtype) -> jax.Array:
+    """Distance from a capsule's axis at which an object touches it, [G, 1 or H, 1 or C] m."""
+    if isinstance(c.radius, float):
+        return jnp.asarray(c.radius + c.capsule_radii, dtype)[:, None, None]
+    return jnp.asarray(c.capsule_radii, dtype)[:, None, None] + c.radius[:near]
 
 
 def empty(x: jax.Array, near: int) -> Problem:
@@ -155,7 +162,8 @@ def forces(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Magnitude of each contact's force, N: hand [G, H, C], walls [2, A, C] and pairs [T, C]."""
     nx, ny, hand_p, hand_q = p.hand
-    near, mu = nx.shape[1], c.hand_friction
+    near = nx.shape[1]
+    mu, weight = head(c.hand_friction, near), head(c.hand_weight, near)
     hx, hy = wx[:near], wy[:near]
     by_hand = _force(nx * hx + ny * hy + hand_p, mu * (nx * hy - ny * hx) + hand_q, mu)
     (mu_back, mu_side), (back, side) = c.wall_friction, c.wall_weight
@@ -164,7 +172,7 @@ def forces(
         side * _force(p.side_p - p.side * wy, mu_side * wx, mu_side),
     )
     by_pairs = _force(*_pair_values(c, p, wx, wy), c.pair_friction)
-    return c.hand_weight * by_hand, jnp.stack(by_walls), c.pair_weight * by_pairs
+    return weight * by_hand, jnp.stack(by_walls), c.pair_weight * by_pairs
 
 
 def _slots(
@@ -235,8 +243,8 @@ def _pair_values(c: Constants, p: Problem, wx: jax.Array, wy: jax.Array) -> Pair
 
 def _of_hand(c: Constants, p: Problem, wx: jax.Array, wy: jax.Array) -> tuple:
     """Derivatives of the hand's contacts: gradient x, y, Hessian xx, xy, yy, [H, C] each."""
-    mu, D = c.hand_friction, c.hand_weight
     near = p.hand[0].shape[1]
+    mu, D = head(c.hand_friction, near), head(c.hand_weight, near)
     wx, wy = wx[:near], wy[:near]
 
     def slot(k, total):

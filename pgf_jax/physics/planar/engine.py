@@ -18,11 +18,13 @@ import numpy as np
 
 from pgf_jax.physics import flops
 from pgf_jax.physics.config import Physics
-from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
+from pgf_jax.physics.engine import Rollout, World, contact_slots
 from pgf_jax.physics.planar import constants, contact, motion, reach
+from pgf_jax.physics.planar.constants import Constants, of_shelf, taken
 from pgf_jax.physics.planar.contact import Hand
 from pgf_jax.physics.planar.motion import Motion, Objects
 from pgf_jax.physics.planar.reach import Part
+from pgf_jax.scene.shelf import Shelf
 
 # Classes: A objects that can move, H of them within the hand's reach, as far as A < N; then all N.
 # No result depends on them: a small call, which fills no chunk, has fewer programs to compile.
@@ -66,6 +68,7 @@ class PlanarEngine:
     ) -> None:
         self.physics, self.n_objects, self.lanes = physics, n_objects, lanes
         self.iterations, self.cg_iterations = iterations, cg_iterations
+        self._slots = contact_slots(n_objects)
         self._constants = constants.read(physics, n_objects)
         self._shape = motion.fit_shape(physics)
         self._used, self._computed, self._counting = 0, 0, threading.Lock()
@@ -79,12 +82,26 @@ class PlanarEngine:
         options = {"xla_cpu_prefer_vector_width": 512} if jax.default_backend() == "cpu" else None
         self._jitted = jax.jit(self._rollout, compiler_options=options)
 
-    def rollout(self, start: World, controls, gripper, substeps: int, wanted=None) -> Rollout:
-        """See `Engine.rollout`; rollouts that are not wanted cost nothing and are zeros."""
+    def rollout(
+        self,
+        start: World,
+        controls,
+        gripper,
+        substeps: int,
+        wanted=None,
+        shelf: Shelf | None = None,
+    ) -> Rollout:
+        """See `Engine.rollout`; rollouts that are not wanted cost nothing and are zeros.
+
+        There is one program for standard shelves, and one for all others.
+        """
         wanted = np.ones(len(controls), bool) if wanted is None else np.asarray(wanted, bool)
         start = World(*(jnp.asarray(a, jnp.float32) for a in start))
         controls, gripper = jnp.asarray(controls, jnp.float32), jnp.asarray(gripper, jnp.float32)
-        rollout, work = self._jitted(start, controls, gripper, np.int32(substeps), wanted)
+        # Lanes last.
+        if shelf is not None:
+            shelf = Shelf(*(jnp.asarray(a, jnp.float32).T for a in shelf))
+        rollout, work = self._jitted(start, controls, gripper, np.int32(substeps), wanted, shelf)
         used, *computed = np.asarray(work).tolist()  # of each class
         with self._counting:  # several threads may call this
             self._used += used
@@ -120,7 +137,15 @@ class PlanarEngine:
 
         return np.array([substep(a, h) for a, h in self._sizes])
 
-    def _rollout(self, start: World, controls, gripper, substeps: jax.Array, wanted: jax.Array):
+    def _rollout(
+        self,
+        start: World,
+        controls,
+        gripper,
+        substeps: jax.Array,
+        wanted: jax.Array,
+        shelf: Shelf | None,
+    ):
         b, t = controls.shape[:2]
         n = self.n_objects
         chunk = min(self._chunk, -(-b // 8) * 8)
@@ -136,9 +161,13 @@ class PlanarEngine:
                 pose, velocity, jnp.stack([grippers[knot, lane], grippers[knot + 1, lane]])
             )
 
+        def shelf_in(lane) -> Shelf | None:
+            """The shelves in lanes [C]."""
+            return None if shelf is None else jax.tree.map(lambda a: a[..., lane], shelf)
+
         def next_size(objects: Objects, pose, knot, lane):
             sweep = self._sweep(motion_in(knot, lane, pose), substeps)
-            part = reach.guess(self._constants, *objects[:4], sweep)
+            part = reach.guess(self._of(shelf_in(lane)), *objects[:4], sweep)
             return part, jnp.where(knot < t, size_of(part), -1)
 
         def size_of(part: Part):
@@ -165,8 +194,8 @@ class PlanarEngine:
             (
                 jnp.zeros((b, t, n, 2)),
                 jnp.zeros((b, t, 3)),
-                jnp.zeros((b, t, MAX_CONTACTS)),
-                jnp.zeros((b, t, MAX_CONTACTS, 2), jnp.int32),
+                jnp.zeros((b, t, self._slots)),
+                jnp.zeros((b, t, self._slots, 2), jnp.int32),
             ),
             jnp.zeros(1 + len(self._sizes), jnp.int32),
         )
@@ -190,7 +219,7 @@ class PlanarEngine:
             now = motion_in(knot, got, pose)
             branches = [self._stand, *(functools.partial(self._advance, *s) for s in self._sizes)]
             after, touched, reached, force, bodies = jax.lax.switch(
-                kind, branches, substeps, before, part, now
+                kind, branches, substeps, before, part, now, shelf_in(got)
             )
             after = jax.tree.map(lambda a, v: jnp.where(knot < 0, v, a), after, before)
 
@@ -235,16 +264,21 @@ class PlanarEngine:
 
         return jax.lax.map(at, jnp.arange(SWEEP) * (substeps / (SWEEP - 1)))
 
-    def _stand(self, substeps, objects: Objects, part: Part, now):
+    def _of(self, shelf: Shelf | None) -> Constants:
+        return self._constants if shelf is None else of_shelf(self._constants, shelf)
+
+    def _stand(self, substeps, objects: Objects, part: Part, now, shelf: Shelf | None):
         """Do a knot in which no object can move."""
         c = part.role.shape[1]
         zero = jnp.zeros_like(objects.vx)
         still = Objects(objects.x, objects.y, zero, zero, zero, zero)
-        no_force = jnp.zeros((c, MAX_CONTACTS))
-        no_bodies = jnp.zeros((c, MAX_CONTACTS, 2), jnp.int32)
+        no_force = jnp.zeros((c, self._slots))
+        no_bodies = jnp.zeros((c, self._slots, 2), jnp.int32)
         return still, jnp.zeros(part.role.shape, bool), jnp.zeros(c, bool), no_force, no_bodies
 
-    def _advance(self, a: int, h: int, substeps, objects: Objects, part: Part, now):
+    def _advance(
+        self, a: int, h: int, substeps, objects: Objects, part: Part, now, shelf: Shelf | None
+    ):
         """Do a knot with `a` objects, of which the hand may touch the first `h`.
 
         Returns:
@@ -253,6 +287,8 @@ class PlanarEngine:
         """
         n, c = part.role.shape
         mine = part.order()[:a]
+        of_all = self._of(shelf)
+        of_mine = taken(of_all, mine, *contact.pairs(a))
         still = jax.tree.map(jnp.zeros_like, objects)._replace(x=objects.x, y=objects.y)
         # Resting objects that fill up are out of the way, so that they change nothing: wide apart
         # in front of the shelf.
@@ -261,7 +297,7 @@ class PlanarEngine:
         away = still._replace(x=jnp.broadcast_to(apart, (n, c)), y=jnp.zeros_like(still.y))
         begin = jax.tree.map(lambda v, w: jnp.where(resting, w, v), objects, away)
         moved, box, force = motion.knot(
-            self._constants,
+            of_mine,
             self.physics,
             self._shape,
             now,
@@ -271,7 +307,7 @@ class PlanarEngine:
             self.iterations,
             self.cg_iterations,
         )
-        touched = reach.touched(self._constants, box, objects.x, objects.y) & resting
+        touched = reach.touched(of_mine, of_all, box, objects.x, objects.y) & resting
         way = jnp.take_along_axis(part.depth, mine[h:], 0) + box.way()[h:]
         lane = jnp.arange(c)
         after = jax.tree.map(
@@ -292,11 +328,11 @@ class PlanarEngine:
         one = jnp.concatenate([jnp.tile(mine[:h], (g, 1)), jnp.tile(mine, (walls, 1)), mine[first]])
         ground = np.repeat([n, n + 1], [g * h, walls * a])[:, None]
         other = jnp.concatenate([jnp.broadcast_to(ground, (len(ground), c)), mine[second]])
-        slots = min(MAX_CONTACTS, flat.shape[1])
+        slots = min(self._slots, flat.shape[1])
         strongest, which = jax.lax.top_k(flat, slots)
         bodies = jnp.stack([jnp.take_along_axis(v.T, which, 1) for v in (one, other)], -1)
         bodies = jnp.where((strongest > 0)[..., None], bodies, 0).astype(jnp.int32)
-        spare = MAX_CONTACTS - slots
+        spare = self._slots - slots
         return jnp.pad(strongest, ((0, 0), (0, spare))), jnp.pad(
             bodies, ((0, 0), (0, spare), (0, 0))
         )

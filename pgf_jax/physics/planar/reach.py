@@ -11,11 +11,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from pgf_jax.physics.planar.constants import Constants
+from pgf_jax.physics.planar.constants import Constants, reach_of
 from pgf_jax.physics.planar.contact import Hand
 from pgf_jax.physics.planar.motion import REST, Box
 
-DECELERATION = 3.0  # m/s^2 at least, of a sliding object: friction loss over mass, with a margin
 SLACK = 5e-4  # m added to every guess
 ASIDE = 0.7  # share of its way that an object may get in any other direction
 ROUNDS = 4  # objects in a row that one push can move
@@ -81,7 +80,7 @@ def _travel(
     """Guess how far each object gets: [N, C] m; 0 where it cannot move."""
     depth, nx, ny = hand
     speed = jnp.sqrt(vx * vx + vy * vy)
-    coasting = jnp.where(speed > REST, speed**2 / (2 * DECELERATION) + SLACK, 0.0)
+    coasting = jnp.where(speed > REST, speed**2 / (2 * c.deceleration) + SLACK, 0.0)
     pushed = jnp.where(depth > 0, depth + SLACK, 0.0)
     # The direction: out of the hand, or on as before.
     ahead = 1 / jnp.maximum(speed, REST)
@@ -89,7 +88,7 @@ def _travel(
     my = jnp.where(pushed > coasting, pushed * ny, coasting * vy * ahead)
     far = jnp.maximum(coasting, pushed)
     dx, dy = x[None] - x[:, None], y[None] - y[:, None]  # [from, to, C]
-    other = ~jnp.eye(len(x), dtype=bool)[..., None]
+    other, touching = ~jnp.eye(len(x), dtype=bool)[..., None], reach_of(c.radius, c.radius)
     for _ in range(ROUNDS):
         # How deep the way of one object ends in another, which is then pushed as far along the
         # line of centres.
@@ -98,7 +97,7 @@ def _travel(
         rx, ry = dx - t * mx[:, None], dy - t * my[:, None]
         distance = jnp.sqrt(rx * rx + ry * ry)
         nearest = jnp.minimum(distance, jnp.sqrt(dx * dx + dy * dy) - ASIDE * far[:, None])
-        into = jnp.where(other & (far > 0)[:, None], 2 * c.radius + SLACK - nearest, -1.0)
+        into = jnp.where(other & (far > 0)[:, None], touching + SLACK - nearest, -1.0)
         most = into.max(0)
         first = jnp.argmax(into, 0)[None]
         scale = most / jnp.maximum(jnp.take_along_axis(distance, first, 0)[0], 1e-6)
@@ -109,12 +108,15 @@ def _travel(
     return far
 
 
-def touched(c: Constants, box: Box, rest_x: jax.Array, rest_y: jax.Array) -> jax.Array:
+def touched(
+    moving: Constants, resting: Constants, box: Box, rest_x: jax.Array, rest_y: jax.Array
+) -> jax.Array:
     """Which of the resting objects ([rest, C] m) those on their ways [A, C] may have touched."""
     gap_x = jnp.maximum(box.left[:, None] - rest_x, rest_x - box.right[:, None])
     gap_y = jnp.maximum(box.low[:, None] - rest_y, rest_y - box.high[:, None])
     gap_x, gap_y = jnp.maximum(gap_x, 0.0), jnp.maximum(gap_y, 0.0)
-    return ~(gap_x * gap_x + gap_y * gap_y >= (2 * c.radius) ** 2).all(0)
+    near = reach_of(moving.radius, resting.radius)
+    return ~(gap_x * gap_x + gap_y * gap_y >= near**2).all(0)
 
 
 def _hand_depth(

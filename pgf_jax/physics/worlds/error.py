@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pgf_jax.physics.worlds.config import WorldError
-from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene.scene import Scene
+from pgf_jax.scene.shelf import FRONT_X
 from pgf_jax.streams import stream
 
 _ROUNDS = 1000  # of moving overlaps apart; a few are enough unless the shelf is full
@@ -27,32 +28,41 @@ class Drawn(NamedTuple):
     positions: np.ndarray
 
 
-def draw(error: WorldError, positions: np.ndarray, seed: int, *key: int) -> Drawn:
+def draw(error: WorldError, scene: Scene, seed: int, *key: int) -> Drawn:
     """Draw the world that a robot acts in.
 
     Args:
       error: the spreads.
-      positions: [N, 2] where the robot sees the objects, m.
+      scene: with the objects where the robot sees them.
       seed, key: of the draw: of the fleet, and the robot's number and its task's.
     """
-    draws, n = stream(seed, "world-error", *key), len(positions)
+    draws, n = stream(seed, "world-error", *key), len(scene.objects)
     mass = 1 + error.mass * draws.uniform(-1, 1, n)
     friction = 1 + error.friction * draws.uniform(-1, 1, n + 1)
-    moved = positions + error.position * draws.standard_normal((n, 2))
-    return Drawn(mass, friction[:n], float(friction[n]), moved_apart(moved))
+    moved = scene.positions + error.position * draws.standard_normal((n, 2))
+    return Drawn(mass, friction[:n], float(friction[n]), moved_apart(moved, scene))
 
 
-def moved_apart(positions: np.ndarray) -> np.ndarray:
-    """Move objects apart that overlap, each by half, and onto the shelf; [N, 2] -> [N, 2], m."""
-    positions = np.array(positions, np.float64)
+def moved_apart(positions: np.ndarray, scene: Scene) -> np.ndarray:
+    """Move objects apart that overlap, each by half, and onto the shelf.
+
+    Args:
+      positions: [N, 2] m.
+      scene: with their radii, and the shelf.
+
+    Returns:
+      [N, 2] m.
+    """
+    positions, radii = np.array(positions, np.float64), scene.radii
     first, second = np.triu_indices(len(positions), 1)
-    low = np.array([FRONT_X, RADIUS - SIDE_WALL_Y])
-    high = np.array([BACK_WALL_X - RADIUS, SIDE_WALL_Y - RADIUS])
+    touching = radii[first] + radii[second]
+    low = np.stack([np.full(len(radii), FRONT_X), radii - scene.side_y], axis=1)
+    high = np.stack([scene.back_x - radii, scene.side_y - radii], axis=1)
     for _ in range(_ROUNDS):
         positions = np.clip(positions, low, high)
         apart = positions[second] - positions[first]
         distance = np.linalg.norm(apart, axis=1)
-        overlap = 2 * RADIUS - distance
+        overlap = touching - distance
         if overlap.max(initial=0.0) <= 1e-6:
             break
         along = np.where(distance[:, None] > 0, apart, [1.0, 0.0])

@@ -20,7 +20,8 @@ from pgf_jax.physics.engine import World
 from pgf_jax.physics.worlds.error import Drawn
 from pgf_jax.physics.worlds.solid_model import Solid, compile_model
 from pgf_jax.physics.worlds.world import State, World3D
-from pgf_jax.scene.scene import HEIGHT, Scene
+from pgf_jax.scene.scene import Scene
+from pgf_jax.scene.shelf import HEIGHT, Shelf
 
 _BASE = slice(0, 3)  # x, y, yaw of the base, in qpos and qvel
 _SLIP = slice(3, 6)  # x, y, yaw of the hand on the base
@@ -34,16 +35,23 @@ class SolidWorld(World3D):
       n_objects: N.
       solid: its constants; None: the default ones.
       drawn: in what it differs from them; None: in nothing.
+      shelf: its walls and objects; None: standard ones.
     """
 
     name = "solid"
 
     def __init__(
-        self, n_objects: int, solid: Solid | None = None, drawn: Drawn | None = None
+        self,
+        n_objects: int,
+        solid: Solid | None = None,
+        drawn: Drawn | None = None,
+        shelf: Shelf | None = None,
     ) -> None:
         self.solid = solid or Solid()
         self._drawn = drawn
-        super().__init__(copy.copy(compile_model(self.solid, n_objects)), n_objects)
+        model = copy.copy(compile_model(self.solid, n_objects, shelf))
+        super().__init__(model, n_objects, None if shelf is None else shelf.radius)
+        self._heights = np.full(n_objects, HEIGHT) if shelf is None else shelf.height
         if drawn is not None:
             self._change(drawn)
         links = [self.model.joint(name) for name in hand.LINKS]
@@ -74,9 +82,11 @@ class SolidWorld(World3D):
     def state_of(self, seen: World) -> State:
         """A state that looks like that from above (unbatched): all objects stand."""
         data = mujoco.MjData(self.model)
-        data.qpos[self._qpos] = [0, 0, HEIGHT / 2, 1, 0, 0, 0]
-        data.qpos[self._qpos[:, :2]] = seen.objects
-        data.qvel[self._qvel[:, :2]] = seen.velocities
+        n = self.n_objects  # of the places of a padded world the first
+        data.qpos[self._qpos] = [0, 0, 0, 1, 0, 0, 0]
+        data.qpos[self._qpos[:, 2]] = self._heights / 2
+        data.qpos[self._qpos[:, :2]] = seen.objects[:n]
+        data.qvel[self._qvel[:, :2]] = seen.velocities[:n]
         data.qpos[_BASE] = seen.hand
         data.qpos[self._link_qpos] = self._angles(float(seen.gripper))
         mujoco.mj_forward(self.model, data)

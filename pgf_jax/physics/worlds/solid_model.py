@@ -22,11 +22,22 @@ import mujoco
 import numpy as np
 
 from pgf_jax.physics import hand
-from pgf_jax.scene.scene import BACK_WALL_X, FRONT_X, HEIGHT, RADIUS, SIDE_WALL_Y
+from pgf_jax.scene.shelf import (
+    FRICTION,
+    FRONT_X,
+    HEIGHT,
+    MASS,
+    RADIUS,
+    TABLE_FRICTION,
+    Shelf,
+    standard_shelf,
+)
 
 ARMATURE = 1e6  # of driven joints, kg or kg m^2: 100 N change a velocity by 4e-5 m/s within a knot
 # The solver measures its progress against the mean inertia, of which the armature is most.
 TOLERANCE = 1e-8 / ARMATURE
+# Of contacts, where objects have frictions of their own: between objects, and with the walls.
+_OBJECT_BIT, _WALL_BIT = 8, 16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,18 +80,23 @@ class Solid:
     foot_impedance: float = 0.99
 
 
-def mjcf(solid: Solid, n_objects: int) -> str:
-    """Write the model as MJCF text; a world sets the objects' positions."""
+def mjcf(solid: Solid, n_objects: int, shelf: Shelf | None = None) -> str:
+    """Write the model as MJCF text; a world sets the objects' positions.
+
+    Args:
+      solid: the constants, which are those of standard objects.
+      n_objects: N.
+      shelf: its walls and objects ([N]); None: standard ones.
+    """
+    own = shelf or standard_shelf(n_objects)
+    back_x, side_y = float(own.back_x), float(own.side_y)
     # Half sizes of the side walls, which begin at the shelf's front: a hand may pass before it.
-    depth, thick = (BACK_WALL_X - FRONT_X) / 2, 0.05
+    depth, thick = (back_x - FRONT_X) / 2, 0.05
     drive = 'solreffriction="0.0075 1" solimpfriction="0.999 0.999"'
-    shape = (
-        f'<freejoint/><geom class="cylinder"/>{_feet(solid)}'
-        f'<geom class="side" contype="3" pos="0 0 {solid.reach_m}"/>'
-        f'<geom class="side" pos="0 0 {-solid.reach_m}"/>'
-    )
+    standard, wall_bits = _standard_object(solid), 6 if shelf is None else 4 | _WALL_BIT
     objects = "\n    ".join(
-        f'<body name="object_{i + 1}" pos="0 0 {HEIGHT / 2}">{shape}</body>'
+        f'<body name="object_{i + 1}" pos="0 0 {own.height[i] / 2}">'
+        f"{standard if shelf is None else _object(solid, shelf, i)}</body>"
         for i in range(n_objects)
     )
     links = "".join(_link(name, solid) for name, one in hand.LINKS.items() if one.parent is None)
@@ -110,17 +126,17 @@ def mjcf(solid: Solid, n_objects: int) -> str:
       <joint armature="{ARMATURE}"/>
     </default>
     <default class="wall">
-      <geom contype="6" conaffinity="0" priority="1" friction="{solid.wall_friction}"/>
+      <geom contype="{wall_bits}" conaffinity="0" priority="1" friction="{solid.wall_friction}"/>
     </default>
   </default>
   <worldbody>
     <geom name="table" type="plane" size="2 2 .1" contype="0" conaffinity="1"/>
-    <geom class="wall" name="back" type="plane" size="1 1 .1" pos="{BACK_WALL_X} 0 0"
+    <geom class="wall" name="back" type="plane" size="1 1 .1" pos="{back_x} 0 0"
           zaxis="-1 0 0"/>
     <geom class="wall" name="left" type="box" size="{depth} {thick} 0.2"
-          pos="{FRONT_X + depth} {SIDE_WALL_Y + thick} 0.2"/>
+          pos="{FRONT_X + depth} {side_y + thick} 0.2"/>
     <geom class="wall" name="right" type="box" size="{depth} {thick} 0.2"
-          pos="{FRONT_X + depth} {-SIDE_WALL_Y - thick} 0.2"/>
+          pos="{FRONT_X + depth} {-side_y - thick} 0.2"/>
     <body name="base" sleep="never">
       <inertial pos="0 0 0" mass="124" diaginertia="1 1 1"/>
       <joint class="hand" name="x" type="slide" axis="1 0 0"/>
@@ -140,12 +156,56 @@ def mjcf(solid: Solid, n_objects: int) -> str:
 </mujoco>"""
 
 
-def _feet(solid: Solid) -> str:
+def _standard_object(solid: Solid) -> str:
+    return (
+        f'<freejoint/><geom class="cylinder"/>{_feet(solid, RADIUS, HEIGHT)}'
+        f'<geom class="side" contype="3" pos="0 0 {solid.reach_m}"/>'
+        f'<geom class="side" pos="0 0 {-solid.reach_m}"/>'
+    )
+
+
+def _object(solid: Solid, shelf: Shelf, i: int) -> str:
+    """An object with properties of its own.
+
+    MuJoCo takes one geom's friction where it has priority, else the larger one of two. So that an
+    object's counts against hand and walls too, they meet spheres of their own, with priority.
+    """
+    radius, height = float(shelf.radius[i]), float(shelf.height[i])
+    rough = float(shelf.friction[i]) / FRICTION
+    mass = solid.mass_kg * float(shelf.mass[i]) / MASS
+    foot = solid.table_friction * float(shelf.table_friction[i]) / TABLE_FRICTION
+    # The middle of the hand's links, from the object's own; a high object ends above them.
+    middle = (HEIGHT - height) / 2
+    levels = {middle - solid.reach_m, min(middle + solid.reach_m, height / 2)}
+    top = max(*levels, height / 2 - solid.reach_m - 0.01)
+    bits: dict[float, int] = {}  # of what has which friction
+    for friction, bit in ((solid.hand_friction, 2), (solid.wall_friction, _WALL_BIT)):
+        bits[friction] = bits.get(friction, 0) | bit
+    spheres = []
+    for z in sorted(levels | {top}):
+        side = f'<geom class="side" size="{radius}" pos="0 0 {z}"'
+        meets = _OBJECT_BIT | (1 if z == top else 0)
+        spheres.append(
+            f'{side} contype="{meets}" conaffinity="{_OBJECT_BIT}"'
+            f' friction="{solid.object_friction * rough}"/>'
+        )
+        spheres += [
+            f'{side} contype="0" conaffinity="{bit}" priority="2" friction="{friction * rough}"/>'
+            for friction, bit in bits.items()
+        ]
+    return (
+        f'<freejoint/><geom class="cylinder" size="{radius} {height / 2}" mass="{mass}"/>'
+        f"{_feet(solid, radius, height, foot)}{''.join(spheres)}"
+    )
+
+
+def _feet(solid: Solid, radius: float, height: float, friction: float | None = None) -> str:
     """The feet of an object, inside of its cylinder."""
     turns = 2 * np.pi * np.arange(solid.feet) / solid.feet
-    out, down = RADIUS - solid.foot_m, solid.foot_m - HEIGHT / 2
+    out, down = radius - solid.foot_m, solid.foot_m - height / 2
+    own = "" if friction is None else f' friction="{friction}"'
     return "".join(
-        f'<geom class="foot" pos="{out * np.cos(turn)} {out * np.sin(turn)} {down}"/>'
+        f'<geom class="foot" pos="{out * np.cos(turn)} {out * np.sin(turn)} {down}"{own}/>'
         for turn in turns
     )
 
@@ -186,7 +246,13 @@ def _geoms(owner: str, origin: np.ndarray, solid: Solid) -> str:
     return "\n        ".join(texts)
 
 
-@functools.lru_cache(maxsize=8)
-def compile_model(solid: Solid, n_objects: int) -> mujoco.MjModel:
+def compile_model(solid: Solid, n_objects: int, shelf: Shelf | None = None) -> mujoco.MjModel:
     """Compile the model, once per settings; copy the result before you change it."""
+    if shelf is None:
+        return _standard_model(solid, n_objects)
+    return mujoco.MjModel.from_xml_string(mjcf(solid, n_objects, shelf))
+
+
+@functools.lru_cache(maxsize=8)
+def _standard_model(solid: Solid, n_objects: int) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(mjcf(solid, n_objects))

@@ -19,11 +19,12 @@ import mujoco
 import numpy as np
 
 from pgf_jax import cores
-from pgf_jax.physics.engine import MAX_CONTACTS, Rollout, World
+from pgf_jax.physics.engine import Rollout, World, contact_slots
 from pgf_jax.physics.hand import EE_POINT, POINTING_YAW, RETREAT_M, RETREAT_S
 from pgf_jax.scene.scene import Scene
+from pgf_jax.scene.shelf import RADIUS
 
-GRASP_M = 0.06  # a reach that ends nearer to the goal has grasped it, see `World3D._distance`
+GRASP_M = 0.06  # a reach that ends nearer to a standard goal has grasped it, see `_distance`
 _M_PER_RAD = 0.09  # of the goal's bearing from where the hand points
 # Warnings of a state with a number that is not finite, or larger than 1e10.
 _DIVERGED = tuple(
@@ -56,6 +57,7 @@ class Executed(NamedTuple):
       upright: the smallest cosine between an object's axis and the vertical at the knots' ends: 1
         while all stand; nan where the simulation diverged.
       touched: whether the robot touched the shelf at a knot's end.
+      within: the distance under which the goal is grasped, m.
     """
 
     rollout: Rollout
@@ -63,11 +65,12 @@ class Executed(NamedTuple):
     distance: float
     upright: float
     touched: bool
+    within: float = GRASP_M
 
     @property
     def grasped(self) -> bool:
         """Whether the goal is within the hand at the end."""
-        return self.distance < GRASP_M
+        return self.distance < self.within
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,12 +100,17 @@ class World3D(abc.ABC):
     Args:
       model: MuJoCo's; `object_1` .. `object_N` are bodies on free joints.
       n_objects: N.
+      radii: [N] m; None: standard.
     """
 
     name: str
 
-    def __init__(self, model: mujoco.MjModel, n_objects: int) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, n_objects: int, radii: np.ndarray | None = None
+    ) -> None:
         self.model, self.n_objects = model, n_objects
+        # A larger goal is grasped from as much further away.
+        self._grasp_m = GRASP_M + (np.zeros(n_objects) if radii is None else radii - RADIUS)
         bodies = [model.body(f"object_{i + 1}").id for i in range(n_objects)]
         self._objects = np.array(bodies)
         address = model.jnt_qposadr[model.body_jntadr[bodies]]
@@ -161,7 +169,8 @@ class World3D(abc.ABC):
         state, n, t = command.state, self.n_objects, len(command.controls)
         data = self._copy(state.data)
         objects, hands = np.empty((t, n, 2)), np.empty((t, 3))
-        force, bodies = np.zeros((t, MAX_CONTACTS)), np.zeros((t, MAX_CONTACTS, 2), np.int32)
+        slots = contact_slots(n)
+        force, bodies = np.zeros((t, slots)), np.zeros((t, slots, 2), np.int32)
         before, upright, touched = state.gripper, 1.0, False
         for k in range(t):
             now = float(command.gripper[k])
@@ -184,7 +193,8 @@ class World3D(abc.ABC):
         distance = np.nan if command.goal is None else self._distance(data, command.goal)
         if any(data.warning[kind].number for kind in _DIVERGED):
             distance = upright = np.nan
-        return Executed(rollout, end, distance, upright, touched)
+        within = GRASP_M if command.goal is None else float(self._grasp_m[command.goal])
+        return Executed(rollout, end, distance, upright, touched, within)
 
     def retreat(self, state: State) -> Command:
         """The segment that retracts the hand 0.07 m straight back in 1 s."""
