@@ -1,6 +1,5 @@
 """Engines of one kind for any number of objects, each made when it is first needed."""
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -13,7 +12,7 @@ _SMALLEST, _STEP = 20, 8  # places are 20, 28, 36, 44, 52 ...
 # A program is compiled for a number of objects, which takes seconds. So for objects that are not
 # standard there are programs for a few numbers only, and the places that a scene leaves over stay
 # empty (`planning/padding.py`). Standard ones have a program for each number, as they always had.
-_COMPILED = ("mjx", "planar")
+_COMPILED = ("planar",)
 
 
 class SizedEngine:
@@ -28,7 +27,7 @@ class SizedEngine:
         self, make: Callable[[int], Engine], *, name: str, physics: Physics, lanes: int
     ) -> None:
         self.name, self.physics, self.lanes = name, physics, lanes
-        self.of = functools.cache(make)
+        self._make = make
         self._made: dict[int, Engine] = {}
 
     @classmethod
@@ -39,6 +38,12 @@ class SizedEngine:
             return make_engine(name, physics=physics, n_objects=n_objects, lanes=lanes)
 
         return cls(make, name=name, physics=physics, lanes=lanes)
+
+    def of(self, n_objects: int) -> Engine:
+        """The engine for so many objects."""
+        if n_objects not in self._made:
+            self._made[n_objects] = self._make(n_objects)
+        return self._made[n_objects]
 
     def places(self, n_objects: int) -> int:
         """The number of objects of the program for a scene of so many: as many, or more."""
@@ -56,8 +61,7 @@ class SizedEngine:
         **shelf: Any,
     ) -> Rollout:
         """See `Engine.rollout`."""
-        n = np.shape(start.objects)[1]
-        engine = self._made[n] = self.of(n)
+        engine = self.of(np.shape(start.objects)[1])
         return engine.rollout(start, controls, gripper, substeps, wanted, **shelf)
 
     def occupancy(self) -> tuple[int, int] | None:

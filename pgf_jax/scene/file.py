@@ -20,8 +20,8 @@ import numpy as np
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import MIB, parse_json, read_file, write_atomically
-from pgf_jax.scene import shelf
 from pgf_jax.scene.scene import Scene
+from pgf_jax.scene.shelf import standard_shelf
 from pgf_jax.settings import check_path
 
 VERSION = 1
@@ -103,15 +103,9 @@ def read_scenes(path: Path | str) -> list[Scene]:
 
 def scene_to_json(scene: Scene) -> dict[str, Any]:
     """The content of a scene's file."""
-    columns = [*scene.objects.T]
-    for field, standard in (
-        ("heights", shelf.HEIGHT),
-        ("masses", shelf.MASS),
-        ("table_frictions", shelf.TABLE_FRICTION),
-        ("frictions", shelf.FRICTION),
-    ):
-        values = getattr(scene, field)
-        columns.append(np.full(len(scene.objects), standard) if values is None else values)
+    shelf = scene.shelf or standard_shelf(len(scene.objects))
+    own = (shelf.height, shelf.mass, shelf.table_friction, shelf.friction)
+    columns = [*scene.objects.T, *own]
     return {
         "version": VERSION,
         "name": scene.name,
