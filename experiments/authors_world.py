@@ -118,7 +118,7 @@ def main(config: Config) -> None:
         return
     scenes = [load_scene(p) for p in paths]
     engine = make_engine("native")
-    start, controls, gripper = noisy_nominals(engine, scenes, 0)
+    start, controls, gripper, _ = noisy_nominals(engine, scenes, 0)
     k = len(controls) // len(scenes)
     chosen = [i * k + j for i in range(len(scenes)) for j in range(config.rollouts)]
     start, controls, gripper = World(*(f[chosen] for f in start)), controls[chosen], gripper[chosen]

@@ -7,23 +7,26 @@ The engine, at the settings that ship, and `native` with a converged solver simu
 rollouts: the reach nominal of each scene with the planner's noise, 8 times (sigma 0.04, seed 0).
 The script prints the distances between the final positions (after 3 s) of the objects that `native`
 moved by more than 5 mm, and the relative difference of contact forces over 1 N at the first knot
-with contact. Without SCENES_DIR the scenes are sampled.
+with contact. Without SCENES_DIR the scenes are sampled, of `--classes`.
 """
 
 import dataclasses
+import itertools
 import json
 from pathlib import Path
 from typing import Annotated
 
+import jax
 import numpy as np
 import tyro
 
 from pgf_jax import configure, load_scene, make_engine, sample_scene
 from pgf_jax.physics.config import Physics
-from pgf_jax.physics.engine import Rollout, World
+from pgf_jax.physics.engine import Engine, Rollout
 from pgf_jax.physics.model import KINEMATIC_ARMATURE
-from pgf_jax.profiling.measure import noisy_nominals
-from pgf_jax.scene import PUBLISHED_CLASSES
+from pgf_jax.physics.sized import SizedEngine
+from pgf_jax.profiling.measure import Nominals, noisy_nominals
+from pgf_jax.scene import PUBLISHED_CLASSES, Scene, SceneClass
 
 MOVED_M, FORCE_N = 0.005, 1.0
 
@@ -35,6 +38,7 @@ class Config:
     scenes: Annotated[Path | None, tyro.conf.Positional] = None  # folder of MJCF scenes
     engine: str = "mjx"
     count: int = 60  # scenes
+    classes: tuple[SceneClass, ...] = PUBLISHED_CLASSES  # of sampled scenes, in turn
     seed: int = 0
     reference_substeps: int | None = None  # of the reference, to measure the error of the substep
     json: bool = False
@@ -66,16 +70,27 @@ def by_pair(force: np.ndarray, bodies: np.ndarray) -> dict[tuple[int, int], floa
     return total
 
 
+def rolled(nominals: Nominals, engine: SizedEngine, lanes: int) -> Rollout:
+    """All rollouts, in calls of one shape, of which the last is padded."""
+    count, size, parts = len(nominals.controls), lanes * 8, []
+    for i in range(0, count, size):
+        index = np.minimum(np.arange(i, i + size), count - 1)
+        part = jax.tree.map(lambda x, index=index: x[index], nominals)
+        out = part.roll(engine, engine.physics.substeps)
+        parts.append(jax.tree.map(lambda x, i=i: np.asarray(x)[: count - i], out))
+    return jax.tree.map(lambda *xs: np.concatenate(xs), *parts)
+
+
 def main(config: Config) -> None:
     """Roll out with both engines and print the distances."""
     configure(config.engine)
-    if config.scenes is None:
-        scenes = [
-            sample_scene(config.seed + i, PUBLISHED_CLASSES[i % 3]) for i in range(config.count)
-        ]
-    else:
+    if config.scenes is not None:
         scenes = [load_scene(p) for p in sorted(config.scenes.glob("*.xml"))][: config.count]
-    n = len(scenes[0].objects)
+    else:
+        classes = config.classes
+        scenes = [
+            sample_scene(config.seed + i, classes[i % len(classes)]) for i in range(config.count)
+        ]
     # MuJoCo scales its tolerance by the inertias, which include the hand's armature. A tolerance of
     # 1e-10 for an object needs this smaller value.
     tolerance = 1e-10 / KINEMATIC_ARMATURE
@@ -83,43 +98,61 @@ def main(config: Config) -> None:
     if config.reference_substeps is not None:
         physics = dataclasses.replace(physics, substeps=config.reference_substeps)
     solver = {"tolerance": tolerance, "iterations": 200, "sleep": False}
-    converged = make_engine("native", physics=physics, n_objects=n, **solver)
-    lanes = 8
-    other = make_engine(config.engine, n_objects=n, lanes=lanes)
-    start, controls, gripper = noisy_nominals(converged, scenes, config.seed)
-    substeps = other.physics.substeps
-    reference = converged.rollout(start, controls, gripper, physics.substeps)
-    parts = []
-    size = lanes * 8
-    for i in range(0, len(controls), size):  # one batch shape; the last call is padded
-        index = np.minimum(np.arange(i, i + size), len(controls) - 1)
-        part = other.rollout(
-            World(*(f[index] for f in start)), controls[index], gripper[index], substeps
-        )
-        keep = min(size, len(controls) - i)
-        parts.append(Rollout(*(np.asarray(f)[:keep] for f in part)))
-    result = Rollout(*(np.concatenate(f) for f in zip(*parts, strict=True)))
 
-    moved = np.linalg.norm(reference.objects[:, -1] - start.objects, axis=-1) > MOVED_M
-    apart = 1e3 * np.linalg.norm(result.objects[:, -1] - reference.objects[:, -1], axis=-1)[moved]
-    forces = force_differences(reference, result)
-    slots = result.force.shape[-1]
+    def converged(n_objects: int) -> Engine:
+        return make_engine("native", physics=physics, n_objects=n_objects, **solver)
+
+    lanes = 8
+    reference = SizedEngine(converged, name="native", physics=physics, lanes=lanes)
+    other = SizedEngine.of_name(config.engine, Physics(), lanes)
+
+    def places(scene: Scene) -> tuple[int, bool]:
+        n = len(scene.objects)
+        return other.places(n) if scene.shelf else n, scene.shelf is None
+
+    moved, apart, forces = 0, [], []
+    full = knots = bad = rollouts = programs = 0
+    for (count, _), some in itertools.groupby(sorted(scenes, key=places), key=places):
+        group, programs = [*some], programs + 1
+        nominals = noisy_nominals(other, group, config.seed)
+        result = rolled(nominals, other, lanes)
+        a_scene = len(nominals.controls) // len(group)
+        for i, scene in enumerate(group):
+            n, own = len(scene.objects), slice(a_scene * i, a_scene * (i + 1))
+            alone = noisy_nominals(reference, [scene], config.seed)
+            alone = alone._replace(controls=nominals.controls[own])
+            exact = alone.roll(reference, physics.substeps)
+            ours = jax.tree.map(lambda x, own=own: x[own], result)
+            went = np.linalg.norm(exact.objects[:, -1] - alone.start.objects, axis=-1) > MOVED_M
+            ends = ours.objects[:, -1, :n] - exact.objects[:, -1]
+            apart += (1e3 * np.linalg.norm(ends, axis=-1)[went]).tolist()
+            moved += int(went.sum())
+            # Hand and walls are numbered after the places, of which some may be empty.
+            beyond = (count - n) * (ours.bodies >= count)
+            named = ours._replace(bodies=ours.bodies - beyond)
+            forces += force_differences(exact, named).tolist()
+        full += int((result.force > 0).all(-1).sum())
+        knots += result.force[..., 0].size
+        bad += int((~np.isfinite(result.objects)).any((1, 2, 3)).sum())
+        rollouts += len(result.force)
     figures = {
         "engine": config.engine,
         "scenes": len(scenes),
-        "rollouts": len(controls),
+        "rollouts": rollouts,
+        "programs": programs,
         "substep_s": other.physics.substep_s,
-        "objects_moved": int(moved.sum()),
+        "objects_moved": moved,
         "position_mm": {
             "median": float(np.median(apart)),
-            "mean": float(apart.mean()),
+            "mean": float(np.mean(apart)),
             "p95": float(np.percentile(apart, 95)),
         },
         "force_relative_median": float(np.median(forces)),
         "forces_compared": len(forces),
         # Contacts beyond the slots are dropped, the shallowest first (counted at knot ends only).
-        "knots_with_all_contact_slots_in_use": int(((result.force > 0).sum(-1) == slots).sum()),
-        "non_finite": int((~np.isfinite(result.objects)).any((1, 2, 3)).sum()),
+        "knots_with_all_contact_slots_in_use": full,
+        "knots": knots,
+        "non_finite": bad,
     }
     if config.json:
         print(json.dumps(figures, indent=2))
@@ -127,14 +160,13 @@ def main(config: Config) -> None:
         p = figures["position_mm"]
         print(
             f"{config.engine} against native (tolerance 1e-10): {len(scenes)} scenes, "
-            f"{len(controls)} rollouts, {figures['objects_moved']} objects moved\n"
+            f"{rollouts} rollouts, {moved} objects moved\n"
             f"final position, mm: median {p['median']:.2f}, mean {p['mean']:.2f}, "
             f"p95 {p['p95']:.2f}\n"
             f"contact force over 1 N, first knot with contact: median difference "
             f"{100 * figures['force_relative_median']:.2f} % of {len(forces)}\n"
-            f"knots with all {slots} contact slots in use: "
-            f"{figures['knots_with_all_contact_slots_in_use']} of {result.force[..., 0].size}; "
-            f"non-finite rollouts: {figures['non_finite']}"
+            f"knots with all contact slots in use: {full} of {knots}; programs: {programs}; "
+            f"non-finite rollouts: {bad}"
         )
 
 

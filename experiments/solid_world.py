@@ -210,7 +210,7 @@ def main(config: Config) -> None:
     physics = physics_of(config.physics, config.physics_constants)
     engine = make_engine("native", physics=physics)
     scenes = scenes_of(config.seed, config.scenes)
-    start, controls, gripper = noisy_nominals(engine, scenes, config.seed)
+    start, controls, gripper, _ = noisy_nominals(engine, scenes, config.seed)
     a_scene = len(controls) // len(scenes)
     noisy = [
         Case(scenes[i // a_scene], u, g, physics.rollout_s)

@@ -1,11 +1,16 @@
 """Settings of `profile`; no JAX here, so that help is instant."""
 
 import dataclasses
-from typing import Annotated
+from typing import Annotated, Literal, get_args
+
+import tyro
 
 from pgf_jax.physics.config import PhysicsName
 from pgf_jax.physics.engine import engine_names
 from pgf_jax.settings import Bounds, Count, check_choice, check_fields
+
+# Classes whose scenes have one number of objects, all standard, as the engines of before need them.
+MeasuredClass = Literal["all", "tight", "medium", "wide", "crowded", "packed"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,6 +27,8 @@ class ProfileConfig:
       repeats: timed calls of each engine and L; the median counts.
       physics: physics constants of the engines on the plane: default (fitted to the solid world),
         authors (to the published simulation), or paper (its time step and softness of contacts).
+      scene_class: class of the scenes: tight, medium, wide, crowded, packed, or all (the first
+        three in turn).
       seed: seed of scenes and noise.
       json: print one JSON object instead of tables.
     """
@@ -31,10 +38,12 @@ class ProfileConfig:
     cores: Count | None = None
     repeats: Count = 3
     physics: PhysicsName = "default"
+    scene_class: Annotated[MeasuredClass, tyro.conf.arg(aliases=["--preset"])] = "all"
     seed: Annotated[int, Bounds(0)] = 0
     json: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)
+        check_choice("scene_class", self.scene_class, get_args(MeasuredClass))
         for engine in self.engines:
             check_choice("engines", engine, engine_names())

@@ -1,14 +1,14 @@
 """What the processes of `profile` do: build an engine, time its calls, split an iteration.
 
-The rollouts are like the planner's: sampled scenes of the three classes, and reach nominals with
-the planner's noise. A process keeps the engines that it has built.
+The rollouts are like the planner's: sampled scenes, and reach nominals with the planner's
+noise. A process keeps the engines that it has built.
 """
 
 import dataclasses
 import functools
 import statistics
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,11 +18,14 @@ import numpy as np
 from pgf_jax.cores import usable
 from pgf_jax.parallel.jax_settings import adopt
 from pgf_jax.physics.config import PHYSICS
-from pgf_jax.physics.engine import Engine, World, make_engine
+from pgf_jax.physics.engine import Engine, Rollout, World, make_engine
+from pgf_jax.physics.sized import SizedEngine
 from pgf_jax.planning.planner import BatchPlanner
 from pgf_jax.planning.search import start_world
 from pgf_jax.plugins.registry import Plugin, require
+from pgf_jax.profiling.config import MeasuredClass
 from pgf_jax.scene import PUBLISHED_CLASSES, Scene, sample_scene
+from pgf_jax.scene.shelf import Shelf
 
 PEAK_SIZE, PEAK_TRIES = 512, 30  # of the matrices, and of their products
 
@@ -36,6 +39,7 @@ class Job:
       settings: pairs of name and value.
       lanes: L.
       physics: name of the constants.
+      scene_class: of the scenes; "all": the three published ones in turn.
       seed: of scenes and noise.
       compiled: folder of compiled programs, with one inside for each number of cores: XLA compiles
         for the threads that it has, but JAX finds a program whatever their number.
@@ -47,6 +51,7 @@ class Job:
     settings: tuple[tuple[str, Any], ...]
     lanes: int
     physics: str
+    scene_class: MeasuredClass
     seed: int
     compiled: str
     jax: tuple[tuple[str, Any], ...]
@@ -72,6 +77,27 @@ class Call(NamedTuple):
     flops: float | None
 
 
+class Nominals(NamedTuple):
+    """Noisy reach nominals, B of them, with the worlds that they start in.
+
+    Attributes:
+      start: [B, N, 2] and so on.
+      controls: [B, T, 3].
+      gripper: [B, T].
+      shelf: [B, N] and so on; None: all is standard.
+    """
+
+    start: World
+    controls: np.ndarray
+    gripper: np.ndarray
+    shelf: Shelf | None
+
+    def roll(self, engine: Engine | SizedEngine, substeps: int) -> Rollout:
+        """Roll all of them out in one call."""
+        named: dict[str, Any] = {} if self.shelf is None else {"shelf": self.shelf}
+        return engine.rollout(*self[:3], substeps, **named)
+
+
 def warm(job: Job) -> float:
     """Build the engine, and call it for the first time; how long that call took, s."""
     first = _call(job)
@@ -89,23 +115,27 @@ def _call(job: Job) -> Call:
     built, work = _built(job)
     engine: Any = built  # some have more methods than an `Engine` needs
     begin = time.monotonic()
-    jax.block_until_ready(engine.rollout(*work, engine.physics.substeps))
+    jax.block_until_ready(work.roll(engine, engine.physics.substeps))
     end = time.monotonic()
     lanes = engine.occupancy() if hasattr(engine, "occupancy") else None
     flops = engine.flops() if hasattr(engine, "flops") else None
-    return Call(begin, end, len(work[1]), lanes, flops)
+    return Call(begin, end, len(work.controls), lanes, flops)
 
 
 @functools.cache
-def _built(job: Job) -> tuple[Engine, tuple[World, np.ndarray, np.ndarray]]:
+def _built(job: Job) -> tuple[Engine, Nominals]:
     compiled = str(Path(job.compiled, f"{len(usable())}"))
     adopt({**dict(job.jax), "jax_compilation_cache_dir": compiled})
     if job.plugin is not None:
         require(job.plugin, "worker process")
     engine = make_engine(
-        job.engine, physics=PHYSICS[job.physics], lanes=job.lanes, **dict(job.settings)
+        job.engine,
+        physics=PHYSICS[job.physics],
+        n_objects=len(_scenes(job)[0].objects),
+        lanes=job.lanes,
+        **dict(job.settings),
     )
-    return engine, rollouts(engine, job.seed)
+    return engine, noisy_nominals(engine, _scenes(job), job.seed)
 
 
 def peak() -> float:
@@ -130,38 +160,30 @@ def memory(job: Job) -> float | None:
     return float(values["VmHWM"].split()[0]) / 1024
 
 
-def rollouts(engine: Engine, seed: int) -> tuple[World, np.ndarray, np.ndarray]:
-    """The arguments of a typical call: L lanes of K rollouts; see `noisy_nominals`."""
-    return noisy_nominals(engine, _scenes(engine, seed), seed)
+def _scenes(job: Job) -> list[Scene]:
+    """A scene for each lane."""
+    classes = PUBLISHED_CLASSES if job.scene_class == "all" else (job.scene_class,)
+    return [sample_scene(job.seed + i, classes[i % len(classes)]) for i in range(job.lanes)]
 
 
-def _scenes(engine: Engine, seed: int) -> list[Scene]:
-    return [
-        sample_scene(seed + i, PUBLISHED_CLASSES[i % len(PUBLISHED_CLASSES)])
-        for i in range(engine.lanes)
-    ]
-
-
-def noisy_nominals(
-    engine: Engine, scenes: Sequence[Scene], seed: int
-) -> tuple[World, np.ndarray, np.ndarray]:
+def noisy_nominals(engine: Engine | SizedEngine, scenes: Sequence[Scene], seed: int) -> Nominals:
     """The reach nominal of each scene, K times, with the planner's noise.
 
-    Returns:
-      [scenes K] worlds, [scenes K, T, 3] controls and [scenes K, T] gripper values.
+    Args:
+      engine: its physics counts, and how many places it gives a scene.
+      scenes: of one program: as many places, and all standard or none.
+      seed: of the noise.
     """
     planner = BatchPlanner(engine)
     k = planner.config.rollouts
     searches = [planner.begin_reach(start_world(s.positions), s.goal, s.shelf) for s in scenes]
-
-    def repeat(of_scenes: Iterable[Any]) -> np.ndarray:
-        return np.repeat(np.stack(list(of_scenes)), k, 0)
-
-    start = World(*(repeat(field) for field in zip(*(s.start for s in searches), strict=True)))
-    controls = repeat(s.controls for s in searches)
+    start, controls, gripper, shelf = jax.tree.map(
+        lambda *xs: np.repeat(np.stack(xs), k, 0),
+        *[(s.start, s.controls, s.gripper, s.shelf) for s in searches],
+    )
     noise = np.random.default_rng(seed).standard_normal(controls.shape)
     noisy = controls + np.array(planner.config.sigma) * noise
-    return start, noisy.astype(np.float32), repeat(s.gripper for s in searches)
+    return Nominals(start, noisy.astype(np.float32), gripper, shelf)
 
 
 class _Stopwatch:
@@ -189,9 +211,7 @@ def split_iteration(job: Job, repeats: int) -> dict[str, float]:
     engine, _ = _built(job)
     watch = _Stopwatch(engine)
     planner = BatchPlanner(watch)  # pyright: ignore[reportArgumentType]
-    searches = [
-        planner.begin_reach(start_world(s.positions), s.goal) for s in _scenes(engine, job.seed)
-    ]
+    searches = [planner.begin_reach(start_world(s.positions), s.goal) for s in _scenes(job)]
     keys = np.random.default_rng(job.seed).integers(
         0, 2**32, (repeats + 1, engine.lanes, 2), dtype=np.uint32
     )

@@ -213,6 +213,7 @@ class _Measurement:
             tuple(settings.items()),
             lanes,
             self.config.physics,
+            self.config.scene_class,
             self.config.seed,
             self.compiled,
             tuple(jax_settings().items()),

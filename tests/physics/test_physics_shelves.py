@@ -60,7 +60,7 @@ def test_planar_is_as_native():
         apart = np.linalg.norm(alone.objects[0, -1, :n] - theirs.objects[0, -1], axis=-1)
         moved = np.linalg.norm(theirs.objects[0, -1] - scene.positions, axis=-1) > 1e-3
         assert moved.any()
-        assert np.median(apart[moved]) < 2e-3, (scene.name, apart[moved])
+        assert np.median(apart[moved]) < 1e-3, (scene.name, apart[moved])
         assert apart[~moved].max(initial=0.0) < 2e-3
         assert np.isfinite(ours.objects[i]).all()
 
@@ -100,6 +100,32 @@ def test_standard_objects_as_data():
         plain = on.rollout(start, controls, gripper, SUBSTEPS)
         given = roll(on, scenes)
         np.testing.assert_allclose(given.objects, plain.objects, atol=1e-4)
+
+
+@pytest.mark.parametrize("mass", [0.3, 3.0])
+def test_an_object_of_any_mass_moves_as_in_native(mass):
+    """Pushed by the hand, and let go: within 10 um at the end of every knot."""
+    shelf = standard_shelf(2)._replace(mass=np.array([mass, 1.0]))
+    start = start_world(np.array([[0.3, -0.0088], [0.5, 0.3]]))
+    shelves = Shelf(*(np.asarray(x, float)[None] for x in shelf))
+    controls = np.tile([0.12, 0.0, 0.0], (1, 8, 1))
+    controls[:, 4:] = 0.0
+    native = make_engine("native", n_objects=2, lanes=1, tolerance=1e-16, iterations=200)
+    ours, theirs = (
+        np.asarray(
+            on.rollout(
+                World(*(np.asarray(x, float)[None] for x in start)),
+                controls,
+                np.full((1, 8), 255.0),
+                SUBSTEPS,
+                None,
+                shelf=shelves,  # pyright: ignore[reportCallIssue]
+            ).objects
+        )
+        for on in (engine("planar", 2), native)
+    )
+    assert theirs[0, -1, 0, 0] > 0.31
+    np.testing.assert_allclose(ours, theirs, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["planar", "native"])

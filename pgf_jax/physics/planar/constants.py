@@ -143,8 +143,7 @@ def of_shelf(c: Constants, shelf: Shelf) -> Constants:
     """
     share = shelf.mass / standard.MASS
     mass = (c.mass - c.armature) * share + c.armature
-    lighter = c.mass / mass
-    inverse_weight = c.inverse_weight * lighter
+    inverse_weight = c.inverse_weight / share  # MuJoCo leaves the armature out of it
     loss = share * shelf.table_friction / standard.TABLE_FRICTION
     rough = shelf.friction / standard.FRICTION
 
@@ -161,9 +160,9 @@ def of_shelf(c: Constants, shelf: Shelf) -> Constants:
         mass=mass,
         inverse_weight=inverse_weight,
         friction=c.friction * rough,
-        friction_weight=c.friction_weight / lighter,
+        friction_weight=c.friction_weight * share,
         friction_loss=c.friction_loss * loss,
-        deceleration=c.deceleration * loss * lighter,
+        deceleration=c.deceleration * loss * (c.mass / mass),
         hand_friction=hand[0],
         hand_weight=hand[1],
         wall_friction=(back[0], side[0]),
