@@ -6,12 +6,13 @@
 Scenes are planned alone, and with the same keys with an operator who is asked after every third
 iteration (`ask after:3`) and takes 8 s for each answer. A line each gives the share of solved
 scenes, the iterations, the planning time, and that with the services counted in; differences to
-planning alone are paired by scene. A scene that is not solved counts with its whole time. With
-`--numbers` only the number of objects varies: standard ones in the rectangle of the class
-`crowded`, the goal in its back row.
+planning alone are paired by scene, and stand beside the last operator's. A scene that is not solved
+counts with its whole time. With `--numbers` only the number of objects varies: standard ones in the
+rectangle of the class `crowded`, the goal in its back row.
 """
 
 import dataclasses
+import sys
 from pathlib import Path
 from typing import Literal
 
@@ -26,6 +27,9 @@ from pgf_jax.files import write_figure
 from pgf_jax.fleet.metrics import mean_interval, rate_interval
 from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.scene import Scene, Sizes
+
+SAVED = ("saved, s", "of what the last saves")
+HEAD = ("operator", "solved", "iterations", "planning, s", *SAVED, "services in, s", *SAVED)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,19 +56,18 @@ def main(config: Config) -> None:
         str(n): [sample_scene(seed, "crowded", sizes=Sizes(objects=(n, n))) for seed in seeds]
         for n in config.numbers
     } or {name: [sample_scene(seed, name) for seed in seeds] for name in config.classes}
-    table = Table()
-    head = ("shelves", "operator", "solved", "iterations", "planning, s", "less than alone")
-    for column in (*head, "services in, s", "less than alone", "of what the last saves"):
-        table.add_column(column, justify="left" if column in head[:2] else "right")
     found: dict[str, dict[str, list[Plan]]] = {}
     for name, scenes in sets.items():
         found[name] = {
             operator: plans(scenes, operator, config) for operator in ("none", *config.operators)
         }
+        table = Table(title=f"{name}, {config.count} scenes")
+        for column in HEAD:
+            table.add_column(column, justify="right" if table.columns else "left")
         for operator, done in found[name].items():
-            table.add_row(name, operator, *row(done, found[name]))
-        console.print(f"{name} done", style="dim")
-    console.print(table)
+            table.add_row(operator, *row(done, found[name]))
+        console.print(table)
+        sys.stdout.flush()
     if config.numbers and config.out is not None:
         draw(found, config)
 
@@ -93,17 +96,18 @@ def row(done: list[Plan], every: dict[str, list[Plan]]) -> list[str]:
     """The cells of a line."""
     mine, alone = times(done), times(every["none"])
     last = times(list(every.values())[-1])
+    own, without, least = (of.mean(axis=1) for of in (mine, alone, last))
     solved = rate_interval(sum(plan.solved for plan in done), len(done))
     cells = [
         f"{100 * solved.mean:.0f} % ({100 * solved.low:.0f}..{100 * solved.high:.0f})",
         f"{np.mean([plan.iterations for plan in done]):.1f}",
     ]
-    for own, without in zip(mine, alone, strict=True):
-        saved = mean_interval((without - own).tolist())
-        cells += [f"{own.mean():.1f}", f"{saved.mean:.1f} ({saved.low:.1f}..{saved.high:.1f})"]
-    most = (alone[0] - last[0]).mean()
-    share = (alone[0] - mine[0]).mean() / most if most else float("nan")
-    return [*cells, f"{100 * share:.0f} %"]
+    for i in range(len(own)):  # without services, and with them
+        saved = mean_interval((alone[i] - mine[i]).tolist())
+        most = without[i] - least[i]
+        share = f"{100 * saved.mean / most:.0f} %" if most else ""
+        cells += [f"{own[i]:.1f}", f"{saved.mean:.1f} ({saved.low:.1f}..{saved.high:.1f})", share]
+    return cells
 
 
 def draw(found: dict[str, dict[str, list[Plan]]], config: Config) -> None:
