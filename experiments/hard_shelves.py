@@ -116,18 +116,19 @@ def draw(found: dict[str, dict[str, list[Plan]]], config: Config) -> None:
     figure = Figure(figsize=(10, 3.2), layout="constrained")
     axes = figure.subplots(1, 3)
     measures = (
-        ("solved, %", lambda done: [100.0 * plan.solved for plan in done]),
-        ("iterations", lambda done: [float(plan.iterations) for plan in done]),
-        ("planning time, s", lambda done: times(done)[0].tolist()),
+        # Drawn as shares, whose intervals stay within 0 and 1.
+        ("solved", lambda done: rate_interval(sum(plan.solved for plan in done), len(done))),
+        ("iterations", lambda done: mean_interval([float(plan.iterations) for plan in done])),
+        ("planning time, s", lambda done: mean_interval(times(done)[0].tolist())),
     )
     numbers = [int(name) for name in found]
     for ax, (label, of) in zip(axes, measures, strict=True):
-        for operator in ("none", *config.operators):
-            spread = [mean_interval(of(found[name][operator])) for name in found]
+        for operator, marker in zip(("none", *config.operators), "osD^v", strict=False):
+            spread = [of(found[name][operator]) for name in found]
             middle = np.array([s.mean for s in spread])
             errors = [middle - [s.low for s in spread], [s.high for s in spread] - middle]
             name = "alone" if operator == "none" else operator
-            ax.errorbar(numbers, middle, errors, marker="o", capsize=3, label=name)
+            ax.errorbar(numbers, middle, errors, marker=marker, capsize=3, label=name)
         ax.set_xlabel("objects")
         ax.set_ylabel(label)
     axes[0].legend(frameon=False)
