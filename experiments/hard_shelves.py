@@ -12,6 +12,7 @@ rectangle of the class `crowded`, the goal in its back row.
 """
 
 import dataclasses
+import itertools
 import sys
 from pathlib import Path
 from typing import Literal
@@ -123,7 +124,7 @@ def draw(found: dict[str, dict[str, list[Plan]]], config: Config) -> None:
     )
     numbers = [int(name) for name in found]
     for ax, (label, of) in zip(axes, measures, strict=True):
-        for operator, marker in zip(("none", *config.operators), "osD^v", strict=False):
+        for operator, marker in zip(("none", *config.operators), itertools.cycle("osD^v")):
             spread = [of(found[name][operator]) for name in found]
             middle = np.array([s.mean for s in spread])
             errors = [middle - [s.low for s in spread], [s.high for s in spread] - middle]

@@ -25,6 +25,8 @@ from pgf_jax.physics.config import Physics
 from pgf_jax.physics.engine import Engine, Rollout
 from pgf_jax.physics.model import KINEMATIC_ARMATURE
 from pgf_jax.physics.sized import SizedEngine
+from pgf_jax.planning.planner import BatchPlanner
+from pgf_jax.planning.search import start_world
 from pgf_jax.profiling.measure import Nominals, noisy_nominals
 from pgf_jax.scene import PUBLISHED_CLASSES, Scene, SceneClass
 
@@ -106,13 +108,14 @@ def main(config: Config) -> None:
     reference = SizedEngine(converged, name="native", physics=physics, lanes=lanes)
     other = SizedEngine.of_name(config.engine, Physics(), lanes)
 
-    def places(scene: Scene) -> tuple[int, bool]:
-        n = len(scene.objects)
-        return other.places(n) if scene.shelf else n, scene.shelf is None
+    planner = BatchPlanner(other)
+
+    def program(scene: Scene) -> tuple[int, bool]:
+        return planner.begin_reach(start_world(scene.positions), scene.goal, scene.shelf).program
 
     moved, apart, forces = 0, [], []
     full = knots = bad = rollouts = programs = 0
-    for (count, _), some in itertools.groupby(sorted(scenes, key=places), key=places):
+    for (count, _), some in itertools.groupby(sorted(scenes, key=program), key=program):
         group, programs = [*some], programs + 1
         nominals = noisy_nominals(other, group, config.seed)
         result = rolled(nominals, other, lanes)

@@ -1,7 +1,7 @@
 """Settings of `profile`; no JAX here, so that help is instant."""
 
 import dataclasses
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 import tyro
 
@@ -9,7 +9,7 @@ from pgf_jax.physics.config import PhysicsName
 from pgf_jax.physics.engine import engine_names
 from pgf_jax.settings import Bounds, Count, check_choice, check_fields
 
-# Classes whose scenes have one number of objects, all standard, as the engines of before need them.
+# Classes whose scenes have one number of objects, all standard: what every engine simulates.
 MeasuredClass = Literal["all", "tight", "medium", "wide", "crowded", "packed"]
 
 
@@ -44,6 +44,5 @@ class ProfileConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_choice("scene_class", self.scene_class, get_args(MeasuredClass))
         for engine in self.engines:
             check_choice("engines", engine, engine_names())

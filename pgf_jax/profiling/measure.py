@@ -128,14 +128,15 @@ def _built(job: Job) -> tuple[Engine, Nominals]:
     adopt({**dict(job.jax), "jax_compilation_cache_dir": compiled})
     if job.plugin is not None:
         require(job.plugin, "worker process")
+    scenes = _scenes(job)
     engine = make_engine(
         job.engine,
         physics=PHYSICS[job.physics],
-        n_objects=len(_scenes(job)[0].objects),
+        n_objects=len(scenes[0].objects),
         lanes=job.lanes,
         **dict(job.settings),
     )
-    return engine, noisy_nominals(engine, _scenes(job), job.seed)
+    return engine, noisy_nominals(engine, scenes, job.seed)
 
 
 def peak() -> float:
