@@ -31,6 +31,7 @@ class Trial:
       solved: whether that trajectory is feasible.
       iterations: all iterations, those of the push and iteration 0s included.
       pushed: the push was found (False: dropped, or there was none).
+      reach: the reach as the trial leaves it.
     """
 
     cost: float
@@ -38,6 +39,7 @@ class Trial:
     solved: bool
     iterations: int
     pushed: bool
+    reach: Search
 
 
 def simulate_input(
@@ -92,4 +94,4 @@ def simulate_input(
         steps += 1
     value = reach.value
     cost = float(np.sum(value.terms[:3]))
-    return Trial(cost, float(value.total), planner.terminate(reach), steps, found)
+    return Trial(cost, float(value.total), planner.terminate(reach), steps, found, reach)

@@ -245,7 +245,12 @@ def test_what_is_built_in_is_named_by_its_revision_from_two_on(tmp_path, monkeyp
     from pgf_jax.sweeping.resolve import resolve
 
     config = pgf_jax.SweepConfig(
-        robots=(1,), policies=("or-hitl",), tasks=1, out=tmp_path, engine="native"
+        robots=(1,),
+        policies=("or-hitl",),
+        tasks=1,
+        out=tmp_path,
+        engine="native",
+        operator="oracle",
     )
     (before,) = resolve(config).cells
     assert not {"plugins", "revisions"} & set(before.identity)

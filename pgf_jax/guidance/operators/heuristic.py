@@ -7,11 +7,14 @@ whether it fits beside the walls. Objects that stop the best trajectory so far (
 end, pressed by hand or goal, jammed against a wall) count double.
 
 Then it simulates each of the best pushes once, without noise: the straight push, the retreat and
-the straight reach after it. It gives the push whose reach ends best, if that end is better than
-what the robot has; else it says "go on reaching". So might a person look at the shelf and imagine.
+the straight reach after it. Where none of these reaches would grasp, a second push is imagined
+after the best of the first ones. It gives the push whose reach ends best, if that end is better
+than what the robot has; else it says "go on reaching". So might a person look at the shelf and
+imagine.
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -61,6 +64,8 @@ class Weights:
 
 
 SIMULATED = 32  # pushes that are simulated, the best by geometry
+# Of these, so many are imagined with a second push, and so many second pushes after each.
+FIRST, SECOND = 6, 6
 # After this many requests of a task the operator gives a push at every second request, even if
 # going on looks better; at the requests between it sees whether the last push has helped.
 PATIENCE = 3
@@ -86,19 +91,24 @@ class HeuristicOperator:
         """See `RolloutOperator.deliberate`."""
         # None, going on, comes first: of equals the first is taken.
         inputs: list[Push | None] = [None, *self.ranked(view, SIMULATED)]
-        # Nominals only: no noise is drawn, so the keys do not matter. A reach under way has had
-        # its nominal, and is taken as it stands.
-        key_paths = robot_key_path(*decision_key)
-        trials = yield from gather(
-            [
-                simulate_input(planner, search, given, key_paths, push_limit=0, reach_limit=0)
-                for given in inputs
-            ]
-        )
+        trials = yield from _imagine(planner, [(search, one) for one in inputs], decision_key)
         ends = [
             trial.total if trial.pushed or given is None else np.inf
             for trial, given in zip(trials, inputs, strict=True)
         ]
+        best = [int(i) for i in np.argsort(ends, kind="stable") if trials[i].pushed][:FIRST]
+        if not any(trials[i].solved for i in (0, *best)):
+            after = [
+                (i, second)
+                for i in best
+                for second in self.ranked(View.of(trials[i].reach, view.request + 1), SECOND)
+            ]
+            deeper = yield from _imagine(
+                planner, [(trials[i].reach, second) for i, second in after], decision_key
+            )
+            for (i, _), trial in zip(after, deeper, strict=True):
+                if trial.pushed:
+                    ends[i] = min(ends[i], trial.total)
         must_push = view.request >= PATIENCE and (view.request - PATIENCE) % 2 == 0
         if must_push and np.isfinite(ends[1:]).any():
             ends[0] = np.inf
@@ -203,6 +213,24 @@ class HeuristicOperator:
             + w.blocker * blockers.sum(1)
             + w.reach_wall * wall
         )
+
+
+def _imagine(
+    planner: BatchPlanner,
+    inputs: Sequence[tuple[Search, Push | None]],
+    decision_key: DecisionKey,
+) -> Coroutine:
+    """Simulate inputs without noise, each given to a reach of its own; returns their `Trial`s.
+
+    Nominals only: no noise is drawn, so the keys do not matter. A reach under way has had its
+    nominal, and is taken as it stands.
+    """
+    key_paths = robot_key_path(*decision_key)
+    trials = [
+        simulate_input(planner, search, given, key_paths, push_limit=0, reach_limit=0)
+        for search, given in inputs
+    ]
+    return (yield from gather(trials))
 
 
 def candidates(view: View) -> tuple[np.ndarray, np.ndarray]:

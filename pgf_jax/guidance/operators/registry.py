@@ -43,6 +43,8 @@ OPERATORS: Registry[Callable[[], AnyOperator]] = Registry(
         "clairvoyant": _clairvoyant,
         "noisy": _noisy,
     },
+    # They imagine a second push.
+    revisions={"heuristic": 2, "noisy": 2},
 )
 
 
