@@ -14,7 +14,7 @@ import tyro
 from rich.console import Console
 
 from pgf_jax import PlanConfig, configure, sample_scene
-from pgf_jax.fleet.metrics import mean_interval, rate_interval
+from pgf_jax.metrics.summary import mean_interval, rate_interval
 from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.scene import PUBLISHED_CLASSES
 

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from pgf_jax import ExecuteConfig, PlanConfig, configure, execute, load_scene, sample_scene
 from pgf_jax.batching.planner_service import planner_service_of
-from pgf_jax.fleet.metrics import rate_interval
+from pgf_jax.metrics.summary import rate_interval
 from pgf_jax.plans.file import Plan
 from pgf_jax.scene import PUBLISHED_CLASSES, Scene
 from pgf_jax.simulation.loop import run_fleets

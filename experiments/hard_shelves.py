@@ -25,7 +25,7 @@ from rich.table import Table
 
 from pgf_jax import Plan, PlanConfig, configure, sample_scene
 from pgf_jax.files import write_figure
-from pgf_jax.fleet.metrics import mean_interval, rate_interval
+from pgf_jax.metrics.summary import mean_interval, rate_interval
 from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.scene import Scene, Sizes
 

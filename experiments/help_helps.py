@@ -16,8 +16,8 @@ from rich.console import Console
 from rich.table import Table
 
 from pgf_jax import Plan, PlanConfig, configure, sample_scene
-from pgf_jax.fleet.metrics import mean_interval, rate_interval
 from pgf_jax.fleet.policies import once_after
+from pgf_jax.metrics.summary import mean_interval, rate_interval
 from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.scene import PUBLISHED_CLASSES
 

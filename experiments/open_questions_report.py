@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from study_rows import POLICIES, difference, fleets, over_seeds, read, table_row, text
 
 from pgf_jax.files import png, write_atomically
-from pgf_jax.fleet.metrics import Interval
+from pgf_jax.metrics.summary import Interval
 from pgf_jax.sweeping.figure6 import COLORS as PALETTE
 from pgf_jax.sweeping.figure6 import MARKERS
 

@@ -26,10 +26,10 @@ EVERY = ("--classes", *PRESETS, "--task-limit", "180", "--ask-to", "39")
 COLLECTIONS = (
     ("train", "autonomous", 4000, 0, EVERY),
     ("train", "human", 7500, 0, EVERY),
-    ("train", "forks", 8000, 100_000, (*EVERY, "--keys", "4")),
+    ("train", "forks", 4000, 100_000, (*EVERY, "--keys", "4")),
     ("test", "autonomous", 1500, 1_000_000, EVERY),
-    ("test", "human", 3000, 1_000_000, EVERY),
-    ("test", "forks", 1500, 1_000_000, (*EVERY, "--keys", "16")),
+    ("test", "human", 1500, 1_000_000, EVERY),
+    ("test", "forks", 750, 1_000_000, (*EVERY, "--keys", "16")),
 )
 # For comparison: of `tight` alone, the class nearest to the paper's scenes.
 TIGHT = (

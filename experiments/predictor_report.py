@@ -17,7 +17,7 @@ from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.files import png
 from pgf_jax.guidance.predictors.features import STATE
 from pgf_jax.planning.types import LOOK_AHEAD
-from pgf_jax.scene import PUBLISHED_CLASSES
+from pgf_jax.scene import PRESETS
 from pgf_jax.tables.forks import Forks
 from pgf_jax.training.fit import Trained
 
@@ -27,8 +27,8 @@ LAST = [STATE.index(f"{term}[t-0]") for term in ("c_d", "c_f", "c_b")]
 
 
 def _parts(classes: np.ndarray) -> Iterable[tuple[str, np.ndarray]]:
-    for name in (*PUBLISHED_CLASSES, "all"):
-        index = np.flatnonzero(np.full(len(classes), True) if name == "all" else classes == name)
+    for name in (*PRESETS, "every"):
+        index = np.flatnonzero(np.full(len(classes), True) if name == "every" else classes == name)
         if len(index) >= 10:
             yield name, index
 
@@ -50,7 +50,7 @@ def cost_table(data: Data, networks: Mapping[str, Sequence[Trained]]) -> list[di
             errors = ev.cost_errors(every[0][index], target, last, mean, scene)
             rmses = [ev.rmse(one[index] - target) for one in every]
             maes = [ev.mae(one[index] - target) for one in every]
-            states = np.flatnonzero((data.forks.scene_class == name) | (name == "all"))
+            states = np.flatnonzero((data.forks.scene_class == name) | (name == "every"))
             costs = data.forks.alone if network == "phi_auto" else data.forks.helped
             costs = costs[states]
             floor = ev.noise_floor(costs)
@@ -162,7 +162,7 @@ def readme(content: Mapping[str, Any], files: Sequence[str]) -> str:
             "data",
             "scenes",
             "of them with rows",
-            "tight, medium, wide",
+            ", ".join(PRESETS),
             "solved",
             "with input",
             "first seed",
@@ -285,9 +285,10 @@ digest; shapes are checked on loading (`pgf_jax/guidance/predictors/checkpoint.p
 {collected}
 
 Training and held-out scenes are drawn by different seeds, where there are several classes in turn.
-The heuristic operator gives the input: in human runs once, after an iteration from 3 to 12. "With
-rows" are, of forks, the scenes unsolved after 3 iterations: each gives one state, at an unsolved
-iteration from 3 to 12, and each state has 4 futures with input and 4 without (16 and 16 held out).
+Every class is in turn, and a run goes on to the task's limit of 180 s. The heuristic operator gives
+the input: in human runs once, after an iteration from 3 to 39. "With rows" are, of forks, the
+scenes unsolved after 3 iterations: each gives one state, at an unsolved iteration from 3 to 39, and
+each state has 4 futures with input and 4 without (16 and 16 held out).
 "With input" they are where the operator gives a push; "solved" are futures without and with input,
 {look_ahead} reach iterations on.
 Solutions were checked in the solid world, as by default; one that misses there counts as unsolved.

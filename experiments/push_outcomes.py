@@ -19,9 +19,9 @@ from rich.console import Console
 from rich.table import Table
 
 from pgf_jax import Push, configure, make_engine, sample_scene
-from pgf_jax.fleet.metrics import rate_interval
 from pgf_jax.guidance.operators import heuristic
 from pgf_jax.guidance.view import View
+from pgf_jax.metrics.summary import rate_interval
 from pgf_jax.physics.engine import World
 from pgf_jax.planning.planner import BatchPlanner
 from pgf_jax.planning.search import Search, start_world

@@ -7,7 +7,7 @@ from pathlib import Path
 import polars as pl
 
 from pgf_jax.errors import BadInput
-from pgf_jax.fleet.metrics import Interval, mean_interval
+from pgf_jax.metrics.summary import Interval, mean_interval
 
 POLICIES = {  # name in tables and figures: (policy, predictor) of the rows
     "PGF": ("pgf", "paper"),

@@ -20,9 +20,9 @@ from rich.console import Console
 
 from pgf_jax import BadInput, SweepConfig, configure, sweeps
 from pgf_jax.files import write_atomically
-from pgf_jax.fleet.attention import attention
-from pgf_jax.fleet.identities import verify
-from pgf_jax.fleet.metrics import NS_PER_HOUR, summarise
+from pgf_jax.metrics.attention import attention
+from pgf_jax.metrics.identities import verify
+from pgf_jax.metrics.summary import NS_PER_HOUR, summarise
 from pgf_jax.sweeping.resolve import Loaded, resolve
 from pgf_jax.sweeping.summary import csv
 from pgf_jax.sweeping.sweep import SweepResult

@@ -4,7 +4,7 @@
 
 Data that are already in `--data` are kept, and an interrupted collection is continued. The commands
 that collect are printed, and can be given by hand. Training data and held-out data have different
-seeds. The held-out data are 500 scenes of each class, planned alone, with input, and forked. All
+seeds. The held-out data are 250 scenes of each class planned alone, 250 with input, 125 forked. All
 figures of `checkpoints/README.md` come from this script.
 """
 

@@ -192,7 +192,7 @@ MISTAKES = {
     ("sweep", "--policy", "pgf"): "unrecognized option --policy: did you mean --policies?",
     ("sweep", "--class", "wide"): "unrecognized option --class: did you mean --scene-class?",
     ("sweep", "--output", "x"): "unrecognized option --output: did you mean --out?",
-    ("sweep", "--serv", "3"): "--serv: did you mean --service-mean or --service-sd?",
+    ("sweep", "--service", "3"): "--service: did you mean --service-mean or --service-sd?",
     ("sweep", "--verbose"): "unrecognized options: --verbose (see pgf-jax sweep --help)",
     (*TRAIN, "--outt", "y"): "unrecognized option --outt: did you mean --out?",
     ("fit-operator", "x"): "--log; unrecognized: x (see pgf-jax fit-operator --help)",

@@ -114,8 +114,8 @@ def test_the_glossary_has_every_policy():
     from pgf_jax.sweeping.config import GAINLESS
 
     glossary = text("experiments/README.md").partition("## Glossary\n")[2]
-    explained = re.findall(r"^\| `([a-z-]+)` \| \w", glossary, re.M)
-    assert sorted(explained) == sorted({"pgf", *GAINLESS})
+    explained = re.findall(r"^\| `([a-z+-]+)` \| \w", glossary, re.M)
+    assert sorted(explained) == sorted({"pgf", "pgf+plan", *GAINLESS})
 
 
 @pytest.mark.parametrize("name", READMES)

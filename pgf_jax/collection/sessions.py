@@ -17,7 +17,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet.events import EventKind
 from pgf_jax.planning.types import Status
 from pgf_jax.simulation.loop import PlannedFleet, run_fleets
-from pgf_jax.simulation.planned_robots import Robot
+from pgf_jax.simulation.robot import Robot
 from pgf_jax.simulation.runner import FleetRunner
 from pgf_jax.sweeping.replay import replay, replay_difference
 from pgf_jax.tables.event_log import EventLog, digest

@@ -15,7 +15,7 @@ from pgf_jax.console.config import ConsoleConfig
 from pgf_jax.console.page import Page
 from pgf_jax.console.session import Session
 from pgf_jax.console.session_spec import SessionSpec
-from pgf_jax.fleet.metrics import CellSummary
+from pgf_jax.metrics.summary import CellSummary
 from pgf_jax.operator_fit.command import service_times
 from pgf_jax.operator_fit.lognormal import ANSWERS
 from pgf_jax.sweeping.report import summary_tables

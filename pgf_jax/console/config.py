@@ -6,7 +6,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pgf_jax.errors import BadInput
-from pgf_jax.fleet.config import CLOCK_OPTIONS, ClockSeconds, Gain
+from pgf_jax.fleet.config import (
+    CLOCK_OPTIONS,
+    MEANWHILE_OPTIONS,
+    ClockSeconds,
+    Gain,
+    Meanwhile,
+)
 from pgf_jax.fleet.policies import check_policy
 from pgf_jax.guidance.operators.registry import operator_names
 from pgf_jax.physics.config import PhysicsName
@@ -27,6 +33,7 @@ from pgf_jax.sweeping.config import SampledClass, SweepConfig
 
 LOOPBACK = "127.0.0.1"
 # Settings that a sweep does not have; a sweep has all others under the same name.
+_SERVICE = ("service_mean", "service_sd", *MEANWHILE_OPTIONS)
 _OWN = ("robots", "policy", "speed", "patience", "host", "port")
 
 
@@ -43,8 +50,8 @@ class ConsoleConfig:
       policy: when robots ask, and who is served: pgf (by predicted gain), or-hitl (when stuck, and
         refused while the operator is busy), or-hitl-window (when stuck, in windows), always (before
         planning), autonomous (never), random, queue (when stuck, in line), classifier (by predicted
-        failure), oracle-gain (by the true gain; with a simulated operator only), or a registered
-        one.
+        failure), oracle-gain (by the true gain; with a simulated operator only), pgf+plan and
+        or-hitl+plan (which plan on meanwhile), or a registered one.
       tasks: tasks of each robot.
       speed: simulated seconds in a real second.
       patience: simulated time after which a robot that gets no answer goes on alone, s.
@@ -100,6 +107,10 @@ class ConsoleConfig:
       world: in which world solutions are checked before a robot executes them, and pushes are
         executed: solid (a shelf in 3-D of our own), scene (that of the scene file), none (the
         engine is believed).
+      while_asking: what a robot does between its ask and the operator's turn: wait, or plan on;
+        None: as its policy does.
+      while_served: what a robot does until the operator's answer: wait, or plan on; None: as its
+        policy does. A robot that is solved meanwhile withdraws its request.
       lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       out: folder of the session: its event log, written as it happens, and its tables at the end.
@@ -148,12 +159,14 @@ class ConsoleConfig:
     cost_weights: tuple[str, ...] = ()
     physics_constants: tuple[str, ...] = ()
     world: WorldName = "solid"
+    while_asking: Meanwhile | None = None
+    while_served: Meanwhile | None = None
 
     GROUPS = (  # of options, for the help
         ("fleet", ("robots", "policy", "tasks", "seed")),
         ("scene", ("scene_class", "scenes")),
         ("planning", PLANNER_OPTIONS),
-        ("operator", ("operator", "log", "patience", "predictor", "service_mean", "service_sd")),
+        ("operator", ("operator", "log", "patience", "predictor", *_SERVICE)),
         ("clock", ("speed", "window", "bid_threshold", *CLOCK_OPTIONS, "compute", "horizon")),
         ("server", ("host", "port")),
         ("output", ("out", "resume")),

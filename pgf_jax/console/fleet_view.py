@@ -278,7 +278,7 @@ def _activity(robot: RobotSnapshot) -> str:
     """The robot's state in a few words."""
     if robot.push is not None and robot.state in (State.PLANNING, State.EXECUTING):
         return "pushing" if robot.state is State.EXECUTING else "plans a push"
-    return STATES[robot.state][1]
+    return f"{STATES[robot.state][1]}, plans on" if robot.plans_on else STATES[robot.state][1]
 
 
 def _progress(robot: RobotSnapshot, tasks: int) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pgf_jax.files import json_bytes, write_atomically
-from pgf_jax.fleet.metrics import CellSummary, summarise
+from pgf_jax.metrics.summary import CellSummary, summarise
 from pgf_jax.simulation.runner import FleetRunner
 from pgf_jax.sweeping.columns import labelled
 from pgf_jax.sweeping.resolve import CellSpec

@@ -264,7 +264,7 @@ class Session:
             self._attend(False)  # other robots would get no answer either
 
     def _end_services(self) -> None:
-        """Acknowledge answers; close the panel if a robot has no time left for an answer."""
+        """Acknowledge answers; close the panel of a robot that needs no answer any more."""
         events = self.runner.fleet.events
         for event in events[self._seen :]:
             if event.kind is not EventKind.SERVICE_END:
@@ -274,7 +274,9 @@ class Session:
                 in_time = event.outcome in ("push", "go_on")
                 self._replies.append(functools.partial(self._answers.pop(service), in_time))
             elif self.panel.pending is not None and self.panel.pending.service == service:
-                log.info("robot %d has no time left for an answer", event.robot)
+                found = event.outcome == "solved_meanwhile"
+                why = "has found its way" if found else "has no time left for an answer"
+                log.info("robot %d %s", event.robot, why)
                 self.panel.close()
         self._seen = len(events)
 

@@ -1,11 +1,11 @@
 """Settings of one fleet, and the cell of a sweep that it belongs to."""
 
 import dataclasses
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.compute import parse_compute
-from pgf_jax.fleet.policies import check_policy
+from pgf_jax.fleet.policies import check_policy, make_policy
 from pgf_jax.settings import Bounds, Count, Seconds, check_fields
 
 # The simulated clock counts whole nanoseconds: a rollout of 0 ns would never let it advance.
@@ -15,6 +15,8 @@ CLOCK_OPTIONS = (
     *("task_limit", "push_limit", "rollout_time"),
     *("push_execution", "retreat", "reach_execution"),
 )
+Meanwhile = Literal["wait", "plan"]
+MEANWHILE_OPTIONS = ("while_asking", "while_served")
 Gain = Annotated[float, Bounds()]  # in units of cost
 
 
@@ -44,6 +46,11 @@ class FleetConfig:
       push_limit_s: planning allowed for a push, s (and no more than remains of the task).
       push_execution_s, retreat_s, reach_execution_s: simulated times of execution, s.
       seed: seed of service times and ties.
+      while_asking: what a robot does between its ask and the operator's turn: `wait`, or `plan` on;
+        None: as its policy does.
+      while_served: what it does until the operator's answer; likewise. Solved meanwhile, it
+        withdraws its request. A push breaks its iteration off; a push that cannot be planned then
+        gives back the search as it was.
     """
 
     robots: Count = 1
@@ -65,6 +72,8 @@ class FleetConfig:
     retreat_s: Seconds = 1.0
     reach_execution_s: Seconds = 3.0
     seed: Annotated[int, Bounds(0)] = 0
+    while_asking: Meanwhile | None = None
+    while_served: Meanwhile | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -74,6 +83,14 @@ class FleetConfig:
             )
         parse_compute(self.compute, rollouts=self.rollouts)
         check_policy(self.policy)
+
+
+def plans_meanwhile(config: FleetConfig) -> tuple[bool, bool]:
+    """Whether the robots of a fleet plan while they ask, and while they are served."""
+    own = make_policy(config).plans_on
+    given = (config.while_asking, config.while_served)
+    asking, served = (own if chosen is None else chosen == "plan" for chosen in given)
+    return asking, served
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,7 +22,8 @@ class EventPriority(enum.IntEnum):
     A bid made at the instant at which the window closes is still inside it. The limit of a waiting
     robot comes first, so that no operator turns to a robot that has no time left. An operator who
     leaves comes before the end of a service, so that an operator who leaves and answers at one
-    instant does not take on another robot.
+    instant does not take on another robot. The service of a robot that plans meanwhile ends after
+    the robot's iteration.
     """
 
     EXPIRY = 0
@@ -30,8 +31,13 @@ class EventPriority(enum.IntEnum):
     SERVICE_END = 2
     EXECUTION_END = 3
     ITERATION_END = 4
-    WINDOW_CLOSE = 5
-    NEW_TASK = 6
+    LATE_SERVICE_END = 5
+    WINDOW_CLOSE = 6
+    NEW_TASK = 7
+
+
+SERVICE_ENDS = (EventPriority.SERVICE_END, EventPriority.LATE_SERVICE_END)
+_OF_REQUESTS = (EventPriority.EXPIRY, *SERVICE_ENDS)
 
 
 class ScheduledEvent(NamedTuple):
@@ -45,7 +51,10 @@ class ScheduledEvent(NamedTuple):
 
 
 class Calendar:
-    """Scheduled events in time order. Each robot (and `FLEET`, `OPERATORS`) has at most one.
+    """Scheduled events in time order.
+
+    Each robot has at most one event of what it does and one of its request; `FLEET` and `OPERATORS`
+    have at most one.
 
     Attributes:
       horizon_ns: the horizon, whole ns, or inf; later events are not handled.
@@ -54,24 +63,30 @@ class Calendar:
     def __init__(self, horizon_ns: float) -> None:
         self.horizon_ns = horizon_ns
         self._heap: list[ScheduledEvent] = []
-        self._valid: dict[int, int] = {}  # robot -> serial of its entry
+        # (robot, whether of its request) -> its entry
+        self._valid: dict[tuple[int, bool], ScheduledEvent] = {}
         self._serial = 0
 
     def schedule(
         self, time_ns: int, priority: EventPriority, robot: int, work: Work | None = None
     ) -> None:
-        """Set the robot's next event; it replaces the one before, if there was one."""
+        """Set the next event of the robot, or of its request; it replaces the one before."""
         self._serial += 1
-        self._valid[robot] = self._serial
-        heapq.heappush(self._heap, ScheduledEvent(time_ns, priority, robot, self._serial, work))
+        entry = ScheduledEvent(time_ns, priority, robot, self._serial, work)
+        self._valid[_whose(entry)] = entry
+        heapq.heappush(self._heap, entry)
 
-    def cancel(self, robot: int) -> None:
-        """Remove the robot's next event, if it has one."""
-        self._valid.pop(robot, None)
+    def cancel(self, robot: int) -> ScheduledEvent | None:
+        """Remove and return the next event of what the robot does, if there is one."""
+        return self._valid.pop((robot, False), None)
+
+    def cancel_request(self, robot: int) -> ScheduledEvent | None:
+        """Remove and return the next event of the robot's request, if there is one."""
+        return self._valid.pop((robot, True), None)
 
     def peek(self) -> ScheduledEvent | None:
         """The next event, or None."""
-        while self._heap and self._valid.get(self._heap[0].robot) != self._heap[0].serial:
+        while self._heap and self._valid.get(_whose(self._heap[0])) is not self._heap[0]:
             heapq.heappop(self._heap)
         return self._heap[0] if self._heap else None
 
@@ -80,5 +95,9 @@ class Calendar:
         scheduled = self.peek()
         assert scheduled is not None
         heapq.heappop(self._heap)
-        del self._valid[scheduled.robot]
+        del self._valid[_whose(scheduled)]
         return scheduled
+
+
+def _whose(entry: ScheduledEvent) -> tuple[int, bool]:
+    return entry.robot, entry.priority in _OF_REQUESTS

@@ -18,8 +18,10 @@ class EventKind(enum.StrEnum):
     WINDOW_CLOSE = "window_close"  # no robot; its grants and refusals follow
     GRANT = "grant"  # the service starts
     REFUSED = "refused"  # outcome busy (no operator free), lost (outbid in a window)
-    EXPIRED = "expired"  # while waiting; outcome limit (of the task), censored (the horizon)
-    SERVICE_END = "service_end"  # outcome push, go_on; no input: unanswered, expired, censored
+    # While waiting; outcome limit (of the task), censored (the horizon), solved_meanwhile.
+    EXPIRED = "expired"
+    # Outcome push, go_on; no input: unanswered, expired, censored, solved_meanwhile.
+    SERVICE_END = "service_end"
     PUSH_DROPPED = "push_dropped"  # no feasible push within the limit
     EXECUTION_END = "execution_end"  # outcome push, reach; missed: a reach that did not grasp
     RETREAT_END = "retreat_end"  # after a push, whose `object` is set, or after a missed reach
@@ -48,7 +50,8 @@ class Event(NamedTuple):
       gain: an iteration's gain, or what it is after a check that missed; a bid's value.
       object: the object to push, 0-based.
       x, y: the target of the object's centre, m.
-      outcome: see `EventKind`. `missed` is there only in fleets whose checks or reaches may miss.
+      outcome: see `EventKind`. `missed` is there only in fleets whose checks or reaches may miss,
+        `solved_meanwhile` only where robots plan while they ask or are served.
     """
 
     time_ns: int

@@ -44,6 +44,11 @@ class Policy(Protocol):
         """How the asks are served."""
         ...
 
+    @property
+    def plans_on(self) -> bool:
+        """Whether a robot plans while it asks and is served, unless the settings say."""
+        ...
+
     def first_bid(self, progress: TaskProgress) -> float | None:
         """The bid before any planning of the task, or None."""
         ...
@@ -58,6 +63,8 @@ class Policy(Protocol):
 
 class PolicyBase:
     """Base class of policies: it never asks, neither before planning nor after an iteration."""
+
+    plans_on: bool = False
 
     def first_bid(self, progress: TaskProgress) -> float | None:
         """None."""
@@ -80,6 +87,7 @@ class BidGain(PolicyBase):
 
     threshold: float
     discipline: Discipline = Discipline.WINDOW
+    plans_on: bool = False
 
     def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
         """The gain; while the history is too short the gain is nan and there is no bid."""
@@ -93,6 +101,7 @@ class AskWhenStuck(PolicyBase):
     """Asks when stuck: `or-hitl`, `or-hitl-window` and `queue`, by the discipline."""
 
     discipline: Discipline
+    plans_on: bool = False
 
     def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
         """+inf while stuck."""
@@ -195,7 +204,9 @@ POLICIES: Registry[PolicyFactory] = Registry(
     "policy",
     {
         "pgf": lambda config: BidGain(config.bid_threshold),
+        "pgf+plan": lambda config: BidGain(config.bid_threshold, plans_on=True),
         "or-hitl": lambda config: AskWhenStuck(Discipline.REFUSE),
+        "or-hitl+plan": lambda config: AskWhenStuck(Discipline.REFUSE, plans_on=True),
         "or-hitl-window": lambda config: AskWhenStuck(Discipline.WINDOW),
         "always": lambda config: AskBeforePlanning(),
         "autonomous": lambda config: NeverAsk(),
@@ -275,6 +286,7 @@ class CheckedPolicy:
                 f"{short_repr(given)}"
             )
         self.discipline = Discipline(given)
+        self.plans_on = bool(getattr(policy, "plans_on", False))
 
     def first_bid(self, progress: TaskProgress) -> float | None:
         """See `Policy.first_bid`."""

@@ -71,6 +71,12 @@ class TaskRecord:
       check_misses: those that missed; as `checks`.
       attempts: executions of a reach that began; only in fleets whose checks are real or whose
         reaches may miss, else None. The last one grasped if the task is solved.
+      asking_s: time that requests waited, whatever the robot did meanwhile, s; only in fleets whose
+        robots plan while they ask or are served, else None. There `waiting_s` and `interaction_s`
+        are the times that the robot stood still for it.
+      served_s: time that operators spent on the task, s; as `asking_s`.
+      lost_s: time of iterations and checks that were broken off, s; as `asking_s`.
+      withdrawn: requests withdrawn because the robot solved the task meanwhile; as `asking_s`.
     """
 
     robot: int
@@ -106,6 +112,10 @@ class TaskRecord:
     checks: int | None = None
     check_misses: int | None = None
     attempts: int | None = None
+    asking_s: float | None = None
+    served_s: float | None = None
+    lost_s: float | None = None
+    withdrawn: int | None = None
 
     @property
     def first_attempt(self) -> bool:

@@ -36,6 +36,8 @@ class Work:
         because an operator may try candidate pushes by rollouts, which are computed in the batch
         that all robots share; an operator that needs no rollouts answers at once.
       check: CHECK: number of the check within its iteration, 0-based; otherwise None.
+      broken_off: iterations and checks of the task that were broken off before; the result does not
+        depend on it. It tells such an item from the one that takes its number.
     """
 
     robot: int
@@ -44,6 +46,7 @@ class Work:
     iteration: int
     request: int | None = None
     check: int | None = None
+    broken_off: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,12 +110,11 @@ Result = IterationResult | CheckResult | ReachResult | Push | NoInput | None
 
 
 class Robots(Protocol):
-    """The robots of one fleet. Each method only changes the segment that a robot plans.
+    """The robots of one fleet. Their methods say what a robot plans, and when.
 
     After `begin`, `start_push`, `drop_push` and a RETREAT, the next ITERATION is the segment's
-    iteration 0, the nominal's own rollout. A robot has at most one work item outstanding, and no
-    method is called for the robot meanwhile. So an item may be computed from the robot's state at
-    any time between the item's dispatch and the delivery of its result.
+    iteration 0, the nominal's own rollout. An item is computed from the robot's state at its
+    `request`, at any time until its result is needed, and changes the robot at its `end`.
 
     After the last check of an iteration has missed, its segment goes on: an operator may be asked,
     and the next ITERATION is not an iteration 0. After a missed REACH a RETREAT follows.
@@ -132,6 +134,21 @@ class Robots(Protocol):
         """Whether a reach may miss when it is executed: a REACH is asked for."""
         ...
 
+    def request(self, work: Work) -> None:
+        """Take a work item, which is to be computed from the robot's state as it is now."""
+        ...
+
+    def end(self, work: Work) -> None:
+        """Take the change of the robot that a work item computed: it has ended in simulated time.
+
+        Its result has been delivered. Between `request` and `end` the robot is as it was before.
+        """
+        ...
+
+    def discard(self, work: Work) -> None:
+        """Do without a work item, which may be computed already or not: it never ends."""
+        ...
+
     def begin(self, robot: int, task: int) -> None:
         """Begin task number `task`: a new scene and a reach segment."""
         ...
@@ -140,8 +157,14 @@ class Robots(Protocol):
         """Plan this push next."""
         ...
 
-    def drop_push(self, robot: int) -> None:
-        """Give the push up: reach from the state before it, with a new nominal and history."""
+    def drop_push(self, robot: int, *, keep: bool = False) -> None:
+        """Give the push up, and reach from the state before it.
+
+        Args:
+          robot: whose push it is.
+          keep: go on with the search as it was before the push, with a cleared stuck counter; else
+            with a new nominal and history.
+        """
         ...
 
     def go_on(self, robot: int) -> None:

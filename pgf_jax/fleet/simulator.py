@@ -27,8 +27,9 @@ from collections.abc import Iterable
 from pgf_jax.fleet.attendance import Attendance, AttendanceSchedule
 from pgf_jax.fleet.compute import ComputeModel, parse_compute
 from pgf_jax.fleet.config import FleetConfig
-from pgf_jax.fleet.event_calendar import Calendar, EventPriority, nanoseconds
+from pgf_jax.fleet.event_calendar import Calendar, nanoseconds
 from pgf_jax.fleet.event_handlers import EventHandlers
+from pgf_jax.fleet.fleet_state import FleetState
 from pgf_jax.fleet.operator_pool import OperatorPool
 from pgf_jax.fleet.robots import Result, Robots, Work
 from pgf_jax.fleet.service import LogNormal, ServiceTimes
@@ -72,17 +73,15 @@ class Fleet:
         )
         self._work = WorkTracker()
         self._attendance = AttendanceSchedule(attendance, self._calendar)
+        self._state = FleetState(config, robots, self._calendar, self._work)
         self._handlers = EventHandlers(
-            config,
-            robots,
-            self._calendar,
-            self._work,
+            self._state,
             service=service or LogNormal(config.seed, config.service_mean_s, config.service_sd_s),
             compute=compute or parse_compute(config.compute, rollouts=config.rollouts),
             attendance=self._attendance,
         )
-        self.events = self._handlers.events
-        self.records = self._handlers.records
+        self.events = self._state.events
+        self.records = self._state.records
 
     # --- requests and results -------------------------------------------------------------------
 
@@ -93,17 +92,17 @@ class Fleet:
           until_ns: handle no event after this time; None: no such limit.
 
         Returns:
-          All work requested since the last call, by robot, at most one item for each robot. Empty
-          when the fleet is done, or waits for results of earlier calls.
+          All work requested since the last call, by robot. Empty when the fleet is done, or waits
+          for results of earlier calls.
         """
         if until_ns is not None:
             self._until_ns = max(self._until_ns, until_ns)
         while not self.done:
             scheduled, horizon_ns = self._calendar.peek(), self._calendar.horizon_ns
-            if self._handlers.starting and (
+            if self._handlers.planning.starting and (
                 scheduled is None or scheduled.time_ns > self.now_ns  # this instant is over
             ):
-                self._handlers.start_iterations()
+                self._handlers.planning.start_iterations()
             elif scheduled is None:
                 self.done = True
             elif until_ns is not None and until_ns < min(scheduled.time_ns, horizon_ns):
@@ -130,11 +129,7 @@ class Fleet:
         """
         if not self._work.deliver(work, result) or self.done:
             return
-        end_ns = self._next_instant_ns()
-        if end_ns <= self._handlers.runs[work.robot].deadline_ns:
-            self._calendar.schedule(end_ns, EventPriority.SERVICE_END, work.robot, work)
-        else:  # after the task's limit, whose event the fleet has not handled yet
-            self._work.consume(work)
+        self._handlers.requests.answer(self._next_instant_ns(), work)
 
     def set_attendance(self, operator: int, present: bool) -> None:
         """Let an operator come or leave at the first instant not advanced to."""
@@ -149,16 +144,16 @@ class Fleet:
     @property
     def now_ns(self) -> int:
         """Simulated time, ns."""
-        return self._handlers.now_ns
+        return self._state.now_ns
 
     def task_run(self, robot: int) -> TaskRun | None:
         """A robot's running task, for reading only; None before its first task."""
-        return self._handlers.runs.get(robot)
+        return self._state.runs.get(robot)
 
     @property
     def operators(self) -> OperatorPool:
         """Which operators are present, and whom they serve; for reading only."""
-        return self._handlers.operators
+        return self._handlers.requests.operators
 
     @property
     def blocked_at_ns(self) -> int | None:

@@ -36,6 +36,7 @@ class StubRobots:
 
     Attributes:
       calls: every call of a `Robots` method: (name, robot, argument or None).
+      discarded: number of items that were discarded.
       verified, misses: see `Robots`.
     """
 
@@ -56,11 +57,22 @@ class StubRobots:
           reach: for REACH; None: a reach cannot miss. See `missed_grasps`.
         """
         self.verified, self.misses = check is not None, reach is not None
+        self.discarded = 0
         self._iterate = iterate
         self._decide = decide
         self._check = check
         self._reach = reach
         self.calls: list[tuple[str, int, int | Push | None]] = []
+
+    def request(self, work: Work) -> None:
+        """Nothing: a result depends on the item alone."""
+
+    def end(self, work: Work) -> None:
+        """Nothing: these robots have no state."""
+
+    def discard(self, work: Work) -> None:
+        """Count the item."""
+        self.discarded += 1
 
     def begin(self, robot: int, task: int) -> None:
         """Record the call."""
@@ -70,7 +82,7 @@ class StubRobots:
         """Record the call."""
         self.calls.append(("start_push", robot, push))
 
-    def drop_push(self, robot: int) -> None:
+    def drop_push(self, robot: int, *, keep: bool = False) -> None:
         """Record the call."""
         self.calls.append(("drop_push", robot, None))
 

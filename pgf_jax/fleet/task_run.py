@@ -2,11 +2,16 @@
 
 import dataclasses
 import math
+from typing import Any
 
 from pgf_jax.fleet.policies import TaskProgress
 from pgf_jax.fleet.records import NO_TERMS, State, TaskRecord
 from pgf_jax.fleet.robots import CheckResult, IterationResult, Work, WorkKind
 from pgf_jax.planning.types import LOOK_AHEAD, NoInput, Push, Status
+
+
+def _nothing_booked() -> dict[State, int]:
+    return dict.fromkeys(State, 0)
 
 
 @dataclasses.dataclass
@@ -19,9 +24,10 @@ class TaskRun:
     deadline_ns: int  # the task's limit; execution does not count, so it moves the limit
     verified: bool = False  # see `Robots`
     misses: bool = False  # see `Robots`
+    plans_on: bool = False  # while it asks or is served
     state: State = State.PLANNING
     since_ns: int = 0
-    spent_ns: dict[State, int] = dataclasses.field(default_factory=lambda: dict.fromkeys(State, 0))
+    spent_ns: dict[State, int] = dataclasses.field(default_factory=_nothing_booked)
 
     # The segment being planned.
     push: Push | None = None  # None: reaching
@@ -29,6 +35,15 @@ class TaskRun:
     nominal_done: bool = False  # the segment's iteration 0 has ended
     stuck: bool = False  # after its last iteration
     check: int | None = None  # number of the final check under way, within its iteration
+    started_ns: int = 0  # when the iteration or check under way began
+    go_on_given: bool = False  # by an operator, during the iteration or check under way
+
+    # The request: it waits, or is served, whatever the robot does meanwhile.
+    request_state: State | None = None
+    request_since_ns: int = 0
+    request_ns: dict[State, int] = dataclasses.field(
+        default_factory=lambda: dict.fromkeys(State, 0)
+    )
 
     work_iterations: int = 0  # iteration 0s included: the next iteration's number in `Work`
     iterations: int = 0
@@ -43,6 +58,9 @@ class TaskRun:
     unanswered: int = 0
     refusals: int = 0
     expired: int = 0  # the unanswered included
+    withdrawn: int = 0
+    broken_off: int = 0  # iterations and checks
+    lost_ns: int = 0  # time of these
     first_bid: int | None = None
     grants_at: list[int] = dataclasses.field(default_factory=list)
     successful_grants_at: list[int] = dataclasses.field(default_factory=list)
@@ -61,9 +79,15 @@ class TaskRun:
         self.spent_ns[self.state] += now_ns - self.since_ns
         self.state, self.since_ns = state, now_ns
 
-    def start_segment(self) -> None:
-        """Start a segment with a new nominal, stuck counter and history."""
-        self.nominal_done = self.stuck = False
+    def enter_request(self, state: State | None, now_ns: int) -> None:
+        """Book the time of the request, and change what it does; None: there is none."""
+        if self.request_state is not None:
+            self.request_ns[self.request_state] += now_ns - self.request_since_ns
+        self.request_state, self.request_since_ns = state, now_ns
+
+    def start_segment(self, *, nominal_done: bool = False) -> None:
+        """Start a segment with a new stuck counter; with a new nominal and history unless said."""
+        self.nominal_done, self.stuck, self.go_on_given = nominal_done, False, False
         self.since_restart = 0
 
     def count_iteration(self, result: IterationResult) -> None:
@@ -104,7 +128,7 @@ class TaskRun:
             request = self.request
         elif kind is WorkKind.CHECK:
             number, check = number - 1, self.check
-        return Work(self.robot, self.task, kind, number, request, check)
+        return Work(self.robot, self.task, kind, number, request, check, self.broken_off)
 
     @property
     def request(self) -> int:
@@ -186,4 +210,17 @@ class TaskRun:
             checks=self.checks if self.verified else None,
             check_misses=self.check_misses if self.verified else None,
             attempts=self.attempts if self.verified or self.misses else None,
+            **self._request_account(),
         )
+
+    def _request_account(self) -> dict[str, Any]:
+        """What a record holds of requests that went on beside planning."""
+        if not self.plans_on:
+            return {}
+        asked_ns = self.request_ns[State.IN_WINDOW] + self.request_ns[State.IN_LINE]
+        return {
+            "asking_s": asked_ns / 1e9,
+            "served_s": self.request_ns[State.SERVED] / 1e9,
+            "lost_s": self.lost_ns / 1e9,
+            "withdrawn": self.withdrawn,
+        }

@@ -27,6 +27,7 @@ class WorkTracker:
         self._outstanding: set[Work] = set()  # dispatched, not delivered yet
         self._results: dict[Work, Result] = {}  # delivered, not consumed yet
         self._open: set[Work] = set()  # inputs of open services that may still come
+        self._discarded: set[Work] = set()  # outstanding, but nobody wants the result any more
 
     def request(self, work: Work, *, is_open: bool = False) -> None:
         """Request work.
@@ -57,6 +58,9 @@ class WorkTracker:
           ValueError: the work was not dispatched, or has been delivered before.
           TypeError: the result has not the type that this kind of work has.
         """
+        if work in self._discarded:
+            self._discarded.remove(work)
+            return False
         if work not in self._outstanding:
             raise ValueError(f"not outstanding: {work}")
         if not isinstance(result, _RESULT_TYPES[work.kind]):
@@ -74,6 +78,15 @@ class WorkTracker:
     def consume(self, work: Work | None) -> Result:
         """Remove and return the result of `work`; None for None."""
         return None if work is None else self._results.pop(work)
+
+    def discard(self, work: Work) -> None:
+        """Forget work: its result is not wanted any more, if it has one."""
+        self._results.pop(work, None)
+        if work in self._pending:
+            self._pending.remove(work)
+        elif work in self._outstanding:
+            self._outstanding.remove(work)
+            self._discarded.add(work)
 
     def cancel_open_input(self, robot: int) -> None:
         """Cancel the input of the robot's open service: it can no longer be delivered."""

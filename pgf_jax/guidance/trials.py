@@ -39,7 +39,7 @@ class Trial:
     solved: bool
     iterations: int
     pushed: bool
-    reach: Search
+    reach: Search = dataclasses.field(compare=False, repr=False)
 
 
 def simulate_input(

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import polars as pl
 
 from pgf_jax.fleet.events import Event
-from pgf_jax.fleet.metrics import CellSummary
 from pgf_jax.fleet.records import TaskRecord
+from pgf_jax.metrics.summary import CellSummary
 from pgf_jax.plans.execute import Execution
 from pgf_jax.plans.execute_command import EXECUTION_SCHEMA
 from pgf_jax.plans.file import Plan
@@ -22,7 +22,7 @@ from pgf_jax.sweeping.columns import TASK_SCHEMA, setting_texts
 from pgf_jax.sweeping.config import SweepConfig
 from pgf_jax.sweeping.summary import FleetsSummary, Paired, paired_frame
 from pgf_jax.tables.forks import FORK_COLUMNS
-from pgf_jax.tables.results import MERGED_EVENT_SCHEMA, with_attempts
+from pgf_jax.tables.results import MERGED_EVENT_SCHEMA, with_extra
 from pgf_jax.tables.runs import RUN_COLUMNS
 
 _OF_A_CELL = {"policy": "of the cell: its policy", "robots": "of the cell: R, the fleet's size"}
@@ -49,8 +49,9 @@ it comes from: settings, seed, versions, code. Checkpoints are in
 
 Some columns, and events of kind `check`, are there only where a fleet's final checks are real
 rollouts or its reaches may miss: `checks`, `check_misses` and `attempts` of tasks; `first_attempt`,
-`grasp_misses`, `checks` and `check_misses` of summaries. Where only some cells of a sweep have
-them, they are null in the others (in CSV files empty)."""
+`grasp_misses`, `checks` and `check_misses` of summaries. Others are there only where robots plan
+while they ask or are served: `asking_s`, `served_s`, `lost_s` and `withdrawn` of tasks. Where only
+some cells of a sweep have them, they are null in the others (in CSV files empty)."""
 
 
 class Table(NamedTuple):
@@ -94,7 +95,7 @@ def tables() -> list[Table]:
         Table(
             "tasks.parquet",
             "one row for each task",
-            _columns(with_attempts(TASK_SCHEMA), tasks),
+            _columns(with_extra(TASK_SCHEMA), tasks),
         ),
         Table(
             "events.parquet",

@@ -15,7 +15,7 @@ from pgf_jax.batching.planner_service import make_planner_service
 from pgf_jax.batching.requests import Step, robot_key_path
 from pgf_jax.batching.scheduler import BatchScheduler
 from pgf_jax.errors import BadInput, short_repr
-from pgf_jax.fleet.config import Cell
+from pgf_jax.fleet.config import Cell, plans_meanwhile
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.fleet.robots import CheckResult, IterationResult, Work, WorkKind
 from pgf_jax.guidance.operators.base import NoOperator
@@ -110,6 +110,8 @@ class _RepeatedTask:
         )
         self._robots.begin(robot, task)
         self._robot, self._task, self._iterations = robot, task, 0
+        _, self._plans = plans_meanwhile(spec.config)  # while it is served
+        self._go_on_given = False  # while an iteration or a check was under way
         self._checks = 0  # of the iteration that has ended last
         self._missed = False  # the reach that was executed last
 
@@ -143,14 +145,16 @@ class _RepeatedTask:
                 raise self._impossible("a reach misses where none is executed")
             self._missed = not self._perform(WorkKind.REACH).grasped
             self._compare("outcome", event.outcome, "missed" if self._missed else "reach")
-        elif event.kind is EventKind.SERVICE_END and event.outcome not in ("expired", "censored"):
+        elif event.kind is EventKind.SERVICE_END and event.outcome not in (
+            *("expired", "censored", "solved_meanwhile"),
+        ):
             if pushing:
                 raise self._impossible("a service ends while a push is planned")
             self._give(event)
         elif event.kind is EventKind.PUSH_DROPPED:
             if not pushing or found:
                 raise self._impossible("a push is dropped where none is planned")
-            self._robots.drop_push(self._robot)
+            self._robots.drop_push(self._robot, keep=self._plans)
         elif event.kind is EventKind.RETREAT_END:
             if not (self._missed or (pushing and found)):
                 raise self._impossible("a retreat ends after no push")
@@ -174,6 +178,8 @@ class _RepeatedTask:
         self._compare_gain(event, result)
         self._iterations += 1
         self._checks = 0
+        if not (result.feasible or task.pushing):
+            self._take_go_on()
 
     def _check_candidate(self, event: Event) -> None:
         number = self._iterations - 1
@@ -184,6 +190,8 @@ class _RepeatedTask:
         self._compare("outcome", event.outcome, "passed" if result.passed else "missed")
         self._compare_gain(event, result.result)
         self._checks += 1
+        if not (result.passed or result.more):
+            self._take_go_on()
 
     def _compare_gain(self, event: Event, result: IterationResult) -> None:
         if self._gains:
@@ -195,17 +203,28 @@ class _RepeatedTask:
             if event.object is None or event.x is None or event.y is None:
                 raise self._impossible("a push without its object or place is given")
             self._robots.start_push(self._robot, Push(event.object, event.x, event.y))
+            self._go_on_given = False
         elif event.outcome not in ("go_on", "unanswered"):
             raise self._impossible(f"a service ends with {short_repr(event.outcome)}")
+        elif self._plans or self._to_check:
+            self._go_on_given = True
         elif self.search.iteration >= 0:  # otherwise there is nothing yet to go on with
             self._robots.go_on(self._robot)
+
+    def _take_go_on(self) -> None:
+        if self._go_on_given:
+            self._robots.go_on(self._robot)
+        self._go_on_given = False
 
     def _perform(
         self, kind: WorkKind, iteration: int | None = None, check: int | None = None
     ) -> Any:
         iteration = self._iterations if iteration is None else iteration
         work = Work(self._robot, self._task, kind, iteration, check=check)
-        return BatchScheduler(self._service).run(self._robots.coroutine(work))
+        self._robots.request(work)
+        result = BatchScheduler(self._service).run(self._robots.coroutine(work))
+        self._robots.end(work)
+        return result
 
     def _compare(self, what: str, logged: object, here: object) -> None:
         if logged != here:

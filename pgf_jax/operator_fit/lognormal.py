@@ -1,7 +1,8 @@
 """Fits a log-normal distribution to service times, some of which are right-censored.
 
-A service that ended without an input (at the task's limit, at the horizon, or because the operator
-did not answer) would have lasted longer: it is right-censored at its length. The fit maximises the
+A service that ended without an input (at the task's limit, at the horizon, because the operator did
+not answer, or because the robot found its way meanwhile) would have lasted longer: it is
+right-censored at its length. The fit maximises the
 likelihood of such data. Its intervals are bias-corrected percentiles of a bootstrap over services
 with a fixed seed. In 1000 simulated samples with sd = mean / 2, the 95 % intervals contained the
 mean and the sd in 89 % and 80 % of the samples at 10 answers each, in 93 % and 88 % at 20, in 92 %
@@ -20,7 +21,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.streams import stream
 
 ANSWERS = ("push", "go_on")
-NO_ANSWER = ("expired", "unanswered", "censored")
+NO_ANSWER = ("expired", "unanswered", "censored", "solved_meanwhile")
 FEW = 20  # with fewer answers, the fit has a warning
 BOOTSTRAP = 1000  # number of bootstrap samples
 LONGEST = 1e9  # s, of mean + sd; times in a log end at 9.2e9

@@ -24,7 +24,7 @@ from pgf_jax.scene.file import scene_from_json, scene_to_json
 from pgf_jax.scene.scene import Scene
 from pgf_jax.settings import check_path, check_type, stored_settings
 from pgf_jax.simulation.loop import PlannedFleet
-from pgf_jax.simulation.planned_robots import Segment
+from pgf_jax.simulation.robot import Segment
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,8 +18,9 @@ from pgf_jax.physics.config import Physics
 from pgf_jax.planning.config import Planner
 from pgf_jax.scene import Scene, sample_scene
 from pgf_jax.scene.sampling import PRESETS, PUBLISHED_CLASSES, SceneClass, most_objects
-from pgf_jax.simulation.planned_robots import PlannedRobots, Robot
+from pgf_jax.simulation.planned_robots import PlannedRobots
 from pgf_jax.simulation.recorded_operator import Recording
+from pgf_jax.simulation.robot import Robot
 from pgf_jax.simulation.search_cache import SearchCache
 from pgf_jax.simulation.task_worlds import WorldSpec
 from pgf_jax.streams import stream

@@ -17,6 +17,7 @@ from pgf_jax.simulation.planned_robots import PlannedRobots
 from pgf_jax.simulation.snapshot import STUCK, FleetSnapshot, RobotSnapshot, short_number
 
 NEWS_NS = 2_500_000_000  # how long an event stays news
+FOUND = "has found its way meanwhile"
 _SHOWS_ANOTHER_SEARCH = frozenset(
     {
         EventKind.TASK_START,
@@ -67,12 +68,7 @@ def input_words(event: Event) -> str:
 
 
 class FleetObserver:
-    """Observes one fleet.
-
-    A robot's search runs ahead of the clock: an iteration is computed when it starts. What a person
-    may see is the search at the last event. So call `update` after each `Fleet.advance`, before the
-    work that it returned is computed.
-    """
+    """Observes one fleet: call `update` after each `Fleet.advance`."""
 
     def __init__(self, fleet: Fleet, robots: PlannedRobots) -> None:
         self._fleet, self._robots = fleet, robots
@@ -132,9 +128,14 @@ class FleetObserver:
             case EventKind.REFUSED | EventKind.EXPIRED:
                 seen.bid = None
                 why = {"busy": "the operator is busy", "lost": "another robot bid more"}
-                seen.tell(event, f"not served: {why.get(event.outcome or '', 'out of time')}")
+                if event.outcome == "solved_meanwhile":
+                    seen.tell(event, FOUND)
+                else:
+                    seen.tell(event, f"not served: {why.get(event.outcome or '', 'out of time')}")
             case EventKind.SERVICE_END:
                 seen.bid, seen.stuck = None, False
+                if event.outcome == "solved_meanwhile":
+                    seen.tell(event, FOUND)
                 if event.outcome in ("push", "go_on"):
                     seen.inputs_at.append(len(seen.costs))
                     seen.tell(event, f"input: {input_words(event)}")
@@ -169,11 +170,13 @@ class FleetObserver:
         objects, pose, gripper = self._world(run.state, run.since_ns, seen, time_ns)
         rolled_out = int(seen.search.iteration) >= 0 and run.state is not State.EXECUTING
         best, n = seen.search.best, seen.search.objects
+        since_ns = run.since_ns if run.request_state is None else run.request_since_ns
         return RobotSnapshot(
             robot=index,
             task=seen.task,
             scene=seen.scene,
-            state=run.state,
+            state=run.request_state or run.state,
+            plans_on=run.request_state is not None and run.state is State.PLANNING,
             objects=objects[:n],
             goal=int(seen.search.task.goal),
             hand=pose,
@@ -186,7 +189,7 @@ class FleetObserver:
             stuck=seen.stuck,
             gain=seen.gain,
             bid=seen.bid,
-            waited_s=max(0, time_ns - run.since_ns) / 1e9,
+            waited_s=max(0, time_ns - since_ns) / 1e9,
             done=tuple(seen.done),
             bids_at=tuple(seen.bids_at),
             grants_at=tuple(seen.grants_at),

@@ -8,13 +8,20 @@ process computes together with those of all other robots.
 import dataclasses
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from pgf_jax.batching import places, requests
-from pgf_jax.batching.places import Place
 from pgf_jax.batching.requests import Coroutine, GainPredictor
-from pgf_jax.fleet.robots import CheckResult, IterationResult, ReachResult, Work, WorkKind
+from pgf_jax.fleet.robots import (
+    CheckResult,
+    IterationResult,
+    ReachResult,
+    Result,
+    Work,
+    WorkKind,
+)
 from pgf_jax.guidance.operators.base import ask_operator
 from pgf_jax.guidance.predictors.features import state_features
 from pgf_jax.guidance.predictors.true_gain import TrueGain
@@ -22,59 +29,21 @@ from pgf_jax.guidance.view import DecisionKey, View
 from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import UNANSWERED, Push
 from pgf_jax.scene.sampling import class_of
-from pgf_jax.scene.scene import Scene
+from pgf_jax.simulation.robot import Robot, Segment
 from pgf_jax.simulation.search_cache import Node, SearchCache
-from pgf_jax.simulation.task_worlds import TaskWorlds
 from pgf_jax.tables.run_log import RunLog
 
 
-@dataclasses.dataclass(frozen=True)
-class Segment:
-    """A part of a plan that was, or can be, executed."""
+class _Asked(NamedTuple):
+    """What a robot's work is computed from: its state when the work was requested."""
 
-    kind: str  # "push" or "reach"
-    duration_s: float
-    controls: np.ndarray  # [T, 3] m/s, m/s, rad/s along the world axes
-    gripper: np.ndarray  # [T] 0 open .. 255 closed
-
-
-@dataclasses.dataclass
-class Robot:
-    """The state of one robot's task; only `PlannedRobots` changes it."""
-
-    task: int
-    scene: Scene
     node: Node
-    executed: list[Segment]
-    log: RunLog
-    inputs: int = 0  # services that have ended, those without an answer included
-    dropped: int = 0  # pushes given since the shelf last changed that could not be planned
-    reach_node: Node | None = None  # while pushing: the reach for which help was asked
-    worlds: TaskWorlds | None = None  # None: nothing is checked
+    inputs: int
+    dropped: int
 
-    @property
-    def search(self) -> Search:
-        """The segment being planned."""
-        return self.node.search
 
-    @property
-    def reach(self) -> Search:
-        """The reach being planned, or the one that was planned before the push under way."""
-        return (self.reach_node or self.node).search
-
-    @property
-    def checked_at(self) -> Place | None:
-        """Where candidates of the segment are checked."""
-        if self.worlds is None:
-            return None
-        assert self.node.state is not None
-        return self.worlds.to_check(self.node.state, self.search.start)
-
-    @property
-    def acts_at(self) -> Place:
-        """Where the segment is executed."""
-        assert self.worlds is not None and self.node.state is not None, "there is no world"
-        return self.worlds.to_act(self.node.state)
+# The result of work, and what changes in the robot when the work ends in simulated time.
+_Ended = tuple[Result, Callable[[], None]]
 
 
 class PlannedRobots:
@@ -107,6 +76,9 @@ class PlannedRobots:
         self.cache, self.planner_service, self.predictor = cache, cache.planner_service, predictor
         self.robots: dict[int, Robot] = {}
         self.iterations = 0
+        self._requested: dict[Work, _Asked] = {}
+        self._computed: dict[Work, Callable[[], None]] = {}
+        self._discarded: set[Work] = set()  # under way
         self._to_do = {robot: range(tasks) for robot in range(robots)}  # not begun yet
         self._on_task_end = on_task_end
         cache.retain(robots, tasks)
@@ -143,13 +115,17 @@ class PlannedRobots:
             lambda: planner.begin_push(reach.search.start, r.scene.goal, push, reach.search.shelf),
         )
 
-    def drop_push(self, robot: int) -> None:
+    def drop_push(self, robot: int, *, keep: bool = False) -> None:
         """See `fleet.Robots.drop_push`."""
         r, planner = self.robots[robot], self.planner_service.planner
         assert r.reach_node is not None, "no push to drop"
         at, goal = r.reach_node.search, r.scene.goal
         r.dropped += 1
-        self._reach(r, r.node.child("drop", lambda: planner.begin_reach(at.start, goal, at.shelf)))
+        if keep:
+            again = r.node.child("give back", lambda: planner.go_on(at))
+        else:
+            again = r.node.child("drop", lambda: planner.begin_reach(at.start, goal, at.shelf))
+        self._reach(r, again)
 
     def go_on(self, robot: int) -> None:
         """See `fleet.Robots.go_on`."""
@@ -157,10 +133,24 @@ class PlannedRobots:
         search = r.search
         r.node = r.node.child("go on", lambda: self.planner_service.planner.go_on(search))
 
+    def request(self, work: Work) -> None:
+        """See `fleet.Robots.request`."""
+        r = self.robots[work.robot]
+        self._requested[work] = _Asked(r.node, r.inputs, r.dropped)
+
+    def end(self, work: Work) -> None:
+        """See `fleet.Robots.end`."""
+        self._computed.pop(work)()
+
+    def discard(self, work: Work) -> None:
+        """See `fleet.Robots.discard`."""
+        if self._requested.pop(work, None) is None and self._computed.pop(work, None) is None:
+            self._discarded.add(work)
+
     # -- work -------------------------------------------------------------------------------------
 
     def coroutine(self, work: Work) -> Coroutine:
-        """The coroutine of a piece of work; returns the work's result."""
+        """The coroutine of a piece of work that was requested; returns the work's result."""
         if work.kind is WorkKind.ITERATION:
             self.iterations += 1
         does = {
@@ -170,11 +160,21 @@ class PlannedRobots:
             WorkKind.REACH: self._execute_reach,
             WorkKind.RETREAT: self._retreat,
         }
-        return (yield from does[work.kind](work))
+        r, asked = self.robots[work.robot], self._requested.pop(work)
 
-    def _iterate(self, work: Work) -> Coroutine:
-        r = self.robots[work.robot]
-        before, state = r.node.search, r.node.state
+        def compute() -> Coroutine:
+            ended: _Ended = yield from does[work.kind](r, asked, work)
+            result, end = ended
+            if work in self._discarded:
+                self._discarded.remove(work)
+            else:
+                self._computed[work] = end
+            return result
+
+        return compute()
+
+    def _iterate(self, r: Robot, asked: _Asked, work: Work) -> Coroutine:
+        before, state = asked.node.search, asked.node.state
 
         def step() -> Coroutine:
             path = requests.robot_key_path(self.cache.seed, work.robot, work.task, work.iteration)
@@ -183,22 +183,30 @@ class PlannedRobots:
             after, candidates = result if wanted else (result, None)
             return Node(after, state, candidates)
 
-        (r.node,) = yield [r.node.memoised("iteration", step)]
-        after, to_check = r.search, r.node.candidates is not None
+        (node,) = yield [asked.node.memoised("iteration", step)]
+        after, to_check = node.search, node.candidates is not None
         # Nothing is bid for a candidate that is to be checked.
-        gain = math.nan if to_check else (yield from self._gain(r, work, work.iteration + 1))
+        gain = math.nan
+        if not to_check:
+            gain = yield from self._gain(r, asked._replace(node=node), work)
         result = self._result(after, gain)
-        r.log.add(result.terms, feasible=result.feasible)
-        return dataclasses.replace(
+
+        def end() -> None:
+            r.node = node
+            r.log.add(result.terms, feasible=result.feasible)
+
+        outcome = dataclasses.replace(
             result,
             feasible=result.feasible or to_check,
             non_finite=bool(after.non_finite > before.non_finite),
             saturated=int(after.saturated - before.saturated),
         )
+        return outcome, end
 
-    def _check(self, work: Work) -> Coroutine:
-        r, planner = self.robots[work.robot], self.planner_service.planner
-        candidates, state, place = r.node.candidates, r.node.state, r.checked_at
+    def _check(self, r: Robot, asked: _Asked, work: Work) -> Coroutine:
+        planner = self.planner_service.planner
+        candidates, state = asked.node.candidates, asked.node.state
+        place = r.checked_at(asked.node)
         assert candidates is not None and place is not None, "nothing to check"
 
         def check() -> Coroutine:
@@ -206,12 +214,18 @@ class PlannedRobots:
             more = after if after.next is not None else None
             return Node(after.search(planner), state, more)
 
-        (r.node,) = yield [r.node.memoised("check", check)]
-        passed, more = planner.terminate(r.search), r.node.candidates is not None
-        gain = math.nan if passed or more else (yield from self._gain(r, work, work.iteration + 1))
-        result = self._result(r.search, gain)
-        r.log.amend(result.terms, feasible=passed)
-        return CheckResult(passed, more, result)
+        (node,) = yield [asked.node.memoised("check", check)]
+        passed, more = planner.terminate(node.search), node.candidates is not None
+        gain = math.nan
+        if not (passed or more):
+            gain = yield from self._gain(r, asked._replace(node=node), work)
+        result = self._result(node.search, gain)
+
+        def end() -> None:
+            r.node = node
+            r.log.amend(result.terms, feasible=passed)
+
+        return CheckResult(passed, more, result), end
 
     def _result(self, after: Search, gain: float) -> IterationResult:
         planner = self.planner_service.planner
@@ -224,29 +238,31 @@ class PlannedRobots:
             cost=float(after.value.total),
         )
 
-    def _execute_reach(self, work: Work) -> Coroutine:
-        r, planner = self.robots[work.robot], self.planner_service.planner
-        search, place = r.search, r.acts_at
+    def _execute_reach(self, r: Robot, asked: _Asked, work: Work) -> Coroutine:
+        planner = self.planner_service.planner
+        search, place = asked.node.search, r.acts_at(asked.node)
 
         def execute() -> Coroutine:
             goal = int(search.task.goal)
             (executed,) = yield [places.segment(planner, place, search, goal=goal, keep=True)]
             return executed
 
-        (executed,) = yield [r.node.memoised("reach", execute)]
-        if not executed.grasped:
-            r.node = r.node.child("missed", lambda: search, executed.state)
-        return ReachResult(executed.grasped, executed.distance)
+        (executed,) = yield [asked.node.memoised("reach", execute)]
 
-    def _retreat(self, work: Work) -> Coroutine:
-        r, planner = self.robots[work.robot], self.planner_service.planner
-        search = r.search
+        def end() -> None:
+            if not executed.grasped:
+                r.node = asked.node.child("missed", lambda: search, executed.state)
+
+        return ReachResult(executed.grasped, executed.distance), end
+
+    def _retreat(self, r: Robot, asked: _Asked, work: Work) -> Coroutine:
+        planner, search = self.planner_service.planner, asked.node.search
 
         def retreat() -> Coroutine:
             if r.worlds is None:
                 (world,) = yield [requests.Retreat(search)]
                 return Node(planner.begin_reach(world, r.scene.goal, search.shelf))
-            place = r.acts_at
+            place = r.acts_at(asked.node)
             if search.task.pushing:
                 place = yield from places.execute_and_retreat(planner, place, search)
             else:  # a reach has missed, and the node's state is that at its end
@@ -254,43 +270,50 @@ class PlannedRobots:
             again = planner.begin_reach(place.seen, r.scene.goal, search.shelf)
             return Node(again, place.state)
 
-        (after,) = yield [r.node.memoised("retreat", retreat)]
-        r.executed.append(self.segment(search))
-        r.dropped = 0
-        self._reach(r, after)
+        (after,) = yield [asked.node.memoised("retreat", retreat)]
 
-    def _ask(self, work: Work) -> Coroutine:
-        r = self.robots[work.robot]
-        (given,) = yield [self._input(r, (*self._task_key(work), work.iteration))]
-        r.inputs += 1
-        if given is not UNANSWERED:
-            r.log.input_given()
-        return given
+        def end() -> None:
+            r.executed.append(self.segment(search))
+            r.dropped = 0
+            self._reach(r, after)
+
+        return None, end
+
+    def _ask(self, r: Robot, asked: _Asked, work: Work) -> Coroutine:
+        (given,) = yield [self._input(r, asked, (*self._task_key(work), work.iteration))]
+
+        def end() -> None:
+            r.inputs += 1
+            if given is not UNANSWERED:
+                r.log.input_given()
+
+        return given, end
 
     # -- requests that a node memoises ------------------------------------------------------------
 
     def _task_key(self, work: Work) -> tuple[int, int, int]:
         return self.cache.seed, work.robot, work.task
 
-    def _input(self, r: Robot, decision_key: DecisionKey) -> requests.Memoised:
+    def _input(self, r: Robot, asked: _Asked, decision_key: DecisionKey) -> requests.Memoised:
         """Request for the input that the operator would give now."""
-        search = r.search
-        view = View.of(search, r.inputs, r.dropped, r.checked_at)
+        search = asked.node.search
+        view = View.of(search, asked.inputs, asked.dropped, r.checked_at(asked.node))
         planner, operator = self.planner_service.planner, self.cache.operator
-        return r.node.memoised(
-            ("input", r.inputs), lambda: ask_operator(operator, view, search, planner, decision_key)
+        return asked.node.memoised(
+            ("input", asked.inputs),
+            lambda: ask_operator(operator, view, search, planner, decision_key),
         )
 
-    def _gain(self, r: Robot, work: Work, iterations: int) -> Coroutine:
-        """The number that the robot may bid now, after so many iterations; nan where none is."""
-        search, predictor = r.search, self.predictor
+    def _gain(self, r: Robot, asked: _Asked, work: Work) -> Coroutine:
+        """The number that the robot may bid after an iteration or a check; nan where none is."""
+        search, predictor = asked.node.search, self.predictor
         if predictor is None or search.task.pushing:
             return math.nan
-        decision_key, place = (*self._task_key(work), iterations), r.checked_at
+        decision_key, place = (*self._task_key(work), work.iteration + 1), r.checked_at(asked.node)
 
         def predict() -> Coroutine:
             if isinstance(predictor, TrueGain):
-                planner, request = self.planner_service.planner, self._input(r, decision_key)
+                planner, request = self.planner_service.planner, self._input(r, asked, decision_key)
                 return (
                     yield from predictor.simulate_gain(
                         search, request, planner, decision_key, place
@@ -299,7 +322,7 @@ class PlannedRobots:
             (gain,) = yield [requests.PredictGain(predictor, state_features(search))]
             return gain
 
-        (gain,) = yield [r.node.memoised(("gain", predictor, r.inputs), predict)]
+        (gain,) = yield [asked.node.memoised(("gain", predictor, asked.inputs), predict)]
         return gain
 
     def segment(self, search: Search) -> Segment:

@@ -27,7 +27,8 @@ class Recording:
 
     Attributes:
       inputs: of the services that ended with an answer, or without one: service -> length in ns,
-        and the input. Others (cut off by a limit, or by the end of the log) never end.
+        and the input. Others (cut off by a limit, by the end of the log, or because the robot found
+        its way) never end.
       attendance: when the operator left and came back.
       end_ns: time of the last event.
       sha256: of the events.
@@ -108,6 +109,6 @@ def _given(event: Event, where: str) -> Push | NoInput | str | None:
         return UNANSWERED
     if event.outcome == "go_on":
         return None
-    if event.outcome in ("expired", "censored"):
+    if event.outcome in ("expired", "censored", "solved_meanwhile"):
         return event.outcome
     raise BadInput(f"{where}: unknown end of a service {event.outcome!r}")

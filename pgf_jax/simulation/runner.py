@@ -10,7 +10,8 @@ from pgf_jax.fleet.simulator import Fleet
 from pgf_jax.guidance.operators.base import AnyOperator
 from pgf_jax.simulation.fleet_spec import FleetSpec
 from pgf_jax.simulation.observer import FleetObserver
-from pgf_jax.simulation.planned_robots import PlannedRobots, Robot
+from pgf_jax.simulation.planned_robots import PlannedRobots
+from pgf_jax.simulation.robot import Robot
 
 
 @dataclasses.dataclass(eq=False)

@@ -66,6 +66,7 @@ class RobotSnapshot(OnShelf):
         stand.
       news: what has just happened between the robot and the operator, in words; empty if nothing.
       shelf: sizes of the objects, and walls; None: they are standard.
+      plans_on: it plans while it waits or is served, as `state` says.
     """
 
     robot: int
@@ -92,11 +93,14 @@ class RobotSnapshot(OnShelf):
     leaning: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 4)))
     news: str = ""
     shelf: Shelf | None = None
+    plans_on: bool = False
 
     @property
     def activity(self) -> str:
         """The state in one or two words."""
         name = _ACTIVITIES[self.state]
+        if self.plans_on:
+            return f"{name}, plans on"
         return name if self.push is None else _PUSH_ACTIVITIES.get(self.state, name)
 
     @property

@@ -23,7 +23,7 @@ from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.sweeping.config import SCENES
 from pgf_jax.tables import results
 from pgf_jax.tables.parquet import LARGEST, decode_table, encode_table, provenance
-from pgf_jax.tables.results import EVENT_SCHEMA, TASK_SCHEMA, with_attempts
+from pgf_jax.tables.results import EVENT_SCHEMA, TASK_SCHEMA, with_extra
 
 FOLDER = "cells"
 TABLES = {"tasks": TASK_SCHEMA, "events": EVENT_SCHEMA}
@@ -36,7 +36,7 @@ class Content:
 
     Attributes:
       tasks, events: its tables, of `TASK_SCHEMA` (where the fleet has them with the columns of
-        `ATTEMPT_SCHEMA`) and `EVENT_SCHEMA`.
+        `EXTRA_SCHEMA`) and `EVENT_SCHEMA`.
       about: where they come from: `identity`, `config`, and `provenance.origin()`.
     """
 
@@ -166,9 +166,11 @@ def decode(data: bytes, file: Path) -> Content:
         raise BadInput(f"{file}: it does not say what it was computed from")
     tables = []
     for name, schema in TABLES.items():
-        schemas = [schema, with_attempts(schema)] if name == "tasks" else [schema]
-        expected = [pl.List(pl.Struct(columns)) for columns in schemas]
-        if len(frame) != 1 or frame.schema.get(name) not in expected or frame[name].null_count():
+        found = frame.schema.get(name)
+        if name == "tasks" and isinstance(found, pl.List) and isinstance(found.inner, pl.Struct):
+            schema = with_extra(schema, [field.name for field in found.inner.fields])
+        expected = pl.List(pl.Struct(schema))
+        if len(frame) != 1 or found != expected or frame[name].null_count():
             raise BadInput(f"{file}: expected one row with a list of structs, {name}")
         # An empty list explodes to one null, which is no row.
         rows = frame[name].explode(empty_as_null=False)

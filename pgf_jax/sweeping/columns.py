@@ -121,8 +121,15 @@ def merged(tables: Iterable[Content], name: str) -> pl.DataFrame:
     """
     contents = list(tables)
     frames = [getattr(content, name) for content in contents]
-    if any("attempts" in frame.columns for frame in frames):
+    if name == "tasks":
         # Null where a cell lacks them; all cells' columns are in the same order.
-        absent = [pl.lit(None, dtype).alias(n) for n, dtype in results.ATTEMPT_SCHEMA.items()]
-        frames = [f if "attempts" in f.columns else f.with_columns(absent) for f in frames]
+        present = [column for frame in frames for column in frame.columns]
+        schema = results.with_extra(results.TASK_SCHEMA, present)
+        frames = [
+            frame.select(
+                pl.col(n) if n in frame.columns else pl.lit(None, dtype).alias(n)
+                for n, dtype in schema.items()
+            )
+            for frame in frames
+        ]
     return pl.concat(labelled(f, c.about) for f, c in zip(frames, contents, strict=True))

@@ -2,13 +2,20 @@
 
 import dataclasses
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.compute import parse_compute
-from pgf_jax.fleet.config import CLOCK_OPTIONS, Cell, ClockSeconds, FleetConfig, Gain
+from pgf_jax.fleet.config import (
+    CLOCK_OPTIONS,
+    MEANWHILE_OPTIONS,
+    Cell,
+    ClockSeconds,
+    FleetConfig,
+    Gain,
+    Meanwhile,
+)
 from pgf_jax.fleet.policies import check_policy
 from pgf_jax.physics.config import Physics, PhysicsName, physics_of
 from pgf_jax.physics.engine import check_engine, default_lanes, default_processes
@@ -28,6 +35,7 @@ from pgf_jax.planning.config import (
 )
 from pgf_jax.scene import Scene, SceneClass
 from pgf_jax.settings import CommandLine, Count, Seconds, Seed, check_fields
+from pgf_jax.sweeping.presets import DEFAULT, PRESETS
 
 # all: the three of the published scenes in turn; every: all six
 SampledClass = Literal[SceneClass, "all", "every"]
@@ -39,38 +47,12 @@ INPUTS = ("scenes", "predictor", "log")
 SCENES = "scenes.json"  # in the folder of the results: the scenes that were given as objects
 # Policies that need no network that predicts a gain.
 GAINLESS = {
-    *("autonomous", "or-hitl", "or-hitl-window", "queue", "always", "random"),
+    *("autonomous", "or-hitl", "or-hitl+plan", "or-hitl-window", "queue", "always", "random"),
     *("classifier", "oracle-gain"),
 }
 
 
-@dataclasses.dataclass(frozen=True)
-class Preset:
-    """Sizes of a sweep.
-
-    Attributes:
-      robots: fleet sizes.
-      policies: names of the policies.
-      tasks: from R, tasks of each robot.
-      scene_class: class of the sampled scenes.
-      fixed: whether the configuration cannot have other sizes.
-    """
-
-    robots: tuple[int, ...]
-    policies: tuple[str, ...]
-    tasks: Callable[[int], int]
-    scene_class: SceneClass = "tight"
-    fixed: bool = False
-
-
-DEFAULT = Preset((1, 10, 20, 30), ("pgf", "or-hitl"), lambda robots: 10)
-PRESETS = {
-    # 2 policies * (1 robot * 4 tasks + 4 robots * 4 tasks) = 40 tasks.
-    "quick": Preset((1, 4), ("pgf", "or-hitl"), lambda robots: 4, fixed=True),
-    # The paper's figure 6: 100 tasks of one robot, 50 each of 10, 20 and 30.
-    "paper": Preset((1, 10, 20, 30), ("pgf", "or-hitl"), lambda robots: 100 if robots == 1 else 50),
-}
-_SERVICE = ("service_mean", "service_sd", "context_switch")
+_SERVICE = ("service_mean", "service_sd", "context_switch", *MEANWHILE_OPTIONS)
 _SIZES = ("robots", "policies", "tasks", "scene_class")
 
 
@@ -92,7 +74,8 @@ class SweepConfig:
         and refused while the operator is busy), or-hitl-window (when stuck, in windows), always
         (before planning), autonomous (never), random, queue (when stuck, in line), classifier (by
         predicted failure), oracle-gain (by the true gain; slow: it plans every robot's future
-        twice), or a registered one; None: pgf and or-hitl.
+        twice), pgf+plan and or-hitl+plan (which plan on meanwhile), or a registered one; None: pgf
+        and or-hitl.
       tasks: tasks of each robot; None: those of the preset.
       seed: seed of scenes, planning noise, service times and ties.
       seeds: several seeds, in place of seed: a fleet of each for every policy and fleet size, so
@@ -154,6 +137,10 @@ class SweepConfig:
       world_error: how far the world in which robots act is from the one in which they check, drawn
         once a task: default, or spreads as in friction=0.3 mass=0.3 position=0.005 (shares, and m);
         a grasp that misses is planned again. The names are the fields of WorldError.
+      while_asking: what a robot does between its ask and the operator's turn: wait, or plan on;
+        None: as its policy does.
+      while_served: what a robot does until the operator's answer: wait, or plan on; None: as its
+        policy does. A robot that is solved meanwhile withdraws its request.
       lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       out: folder of the results.
@@ -214,6 +201,8 @@ class SweepConfig:
     physics_constants: tuple[str, ...] = ()
     world: WorldName = "solid"
     world_error: tuple[str, ...] = ()
+    while_asking: Meanwhile | None = None
+    while_served: Meanwhile | None = None
 
     GROUPS = (  # of options, for the help
         ("fleet", ("preset", "robots", "policies", "tasks", "seed", "seeds")),
@@ -361,6 +350,8 @@ class SweepConfig:
             retreat_s=self.retreat,
             reach_execution_s=self.reach_execution,
             seed=cell.seed,
+            while_asking=self.while_asking,
+            while_served=self.while_served,
         )
 
     def planner(self) -> Planner:

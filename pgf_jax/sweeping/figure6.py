@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgf_jax.fleet.metrics import CellSummary, Interval
+from pgf_jax.metrics.summary import CellSummary, Interval
 from pgf_jax.sweeping.summary import FleetsSummary, over_fleets
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import polars as pl
 
 from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, is_folder, read_file, read_json
-from pgf_jax.fleet.metrics import CellSummary
+from pgf_jax.metrics.summary import CellSummary
 from pgf_jax.sweeping import cell_file, columns
 from pgf_jax.sweeping.cell_store import MANIFEST
 from pgf_jax.sweeping.summary import summary_of

@@ -9,8 +9,8 @@ from typing import Any
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.events import Event, EventKind
 from pgf_jax.settings import stored_settings
-from pgf_jax.simulation.planned_robots import Robot
 from pgf_jax.simulation.recorded_operator import REPLAY, Recording
+from pgf_jax.simulation.robot import Robot
 from pgf_jax.simulation.runner import FleetRunner
 from pgf_jax.sweeping.config import ADDED, SweepConfig
 from pgf_jax.sweeping.resolve import resolve

@@ -13,7 +13,7 @@ from rich.progress import TaskID, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from pgf_jax.fleet.metrics import NS_PER_HOUR, CellSummary, Interval
+from pgf_jax.metrics.summary import NS_PER_HOUR, CellSummary, Interval
 from pgf_jax.sweeping.resolve import CellSpec
 from pgf_jax.sweeping.summary import over_fleets
 from pgf_jax.terminal import Progress

@@ -12,7 +12,7 @@ from typing import Any
 from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import sha256
-from pgf_jax.fleet.config import Cell
+from pgf_jax.fleet.config import MEANWHILE_OPTIONS, Cell
 from pgf_jax.fleet.policies import POLICIES
 from pgf_jax.guidance.operators.registry import OPERATORS, check_operator, world_plugins
 from pgf_jax.guidance.predictors.checkpoint import PAIR, checkpoint_name, shipped_checkpoints
@@ -268,7 +268,12 @@ def _identity(
     revisions = _revisions(fleet)
     content = {
         "format": FORMAT,
-        "fleet": dataclasses.asdict(fleet.config),
+        # A setting that came later is in the identity only where it is given.
+        "fleet": {
+            name: value
+            for name, value in dataclasses.asdict(fleet.config).items()
+            if name not in MEANWHILE_OPTIONS or value is not None
+        },
         "engine": fleet.engine,
         "lanes": fleet.lanes,
         "physics": dataclasses.asdict(fleet.physics),

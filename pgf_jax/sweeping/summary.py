@@ -13,7 +13,8 @@ from typing import NamedTuple
 import polars as pl
 
 from pgf_jax.fleet.config import Cell
-from pgf_jax.fleet.metrics import (
+from pgf_jax.fleet.records import TaskRecord
+from pgf_jax.metrics.summary import (
     CellSummary,
     Interval,
     flat_row,
@@ -21,7 +22,6 @@ from pgf_jax.fleet.metrics import (
     paired_difference,
     summarise,
 )
-from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.planning.types import Status
 from pgf_jax.sweeping.cell_file import Content
 from pgf_jax.tables import results

@@ -20,8 +20,8 @@ from pgf_jax.cores import usable
 from pgf_jax.errors import BadInput
 from pgf_jax.files import json_bytes, png, sha256, write_atomically
 from pgf_jax.fleet.config import Cell
-from pgf_jax.fleet.metrics import CellSummary
 from pgf_jax.jax_setup import configure_early, one_engine
+from pgf_jax.metrics.summary import CellSummary
 from pgf_jax.parallel.cluster import open_cluster
 from pgf_jax.parallel.local import LocalPool
 from pgf_jax.plugins.digest import is_interactive

@@ -6,7 +6,8 @@ the order of the log). The merged tables of a sweep hold the rows of all cells, 
 Nothing in them depends on the speed of the computer.
 
 Tables of tasks have the columns of `ATTEMPT_SCHEMA` only where some fleet's final checks are real
-or its reaches may miss. They come after the columns of `TASK_SCHEMA`.
+or its reaches may miss, and those of `REQUEST_SCHEMA` only where robots plan while they ask or are
+served. They come after the columns of `TASK_SCHEMA`.
 """
 
 import dataclasses
@@ -61,10 +62,17 @@ ATTEMPT_SCHEMA: dict[str, pl.DataType] = {
     "check_misses": pl.Int64(),
     "attempts": pl.Int64(),
 }
+REQUEST_SCHEMA: dict[str, pl.DataType] = {
+    "asking_s": pl.Float64(),
+    "served_s": pl.Float64(),
+    "lost_s": pl.Float64(),
+    "withdrawn": pl.Int64(),
+}
+EXTRA_SCHEMA = ATTEMPT_SCHEMA | REQUEST_SCHEMA
 TASK_SCHEMA: dict[str, pl.DataType] = {
     column: dtype
     for field in dataclasses.fields(TaskRecord)
-    if field.name not in ATTEMPT_SCHEMA
+    if field.name not in EXTRA_SCHEMA
     for column, dtype in (
         _OTHER_TYPES.get(field.name) or {field.name: _TYPES[field.type]}  # pyright: ignore[reportArgumentType]
     ).items()
@@ -80,11 +88,25 @@ _COSTS = ("asked_cost", "helped_cost")  # lists of numbers, of which some may be
 _OPTIONAL = {"first_bid", "first_grant", "cost", *_TERMS}  # columns of tasks that may be null
 
 
-def with_attempts(schema: Mapping[str, pl.DataType]) -> dict[str, pl.DataType]:
-    """A schema of tasks, with the columns of `ATTEMPT_SCHEMA` at their place."""
+def with_extra(
+    schema: Mapping[str, pl.DataType], columns: Iterable[str] = EXTRA_SCHEMA
+) -> dict[str, pl.DataType]:
+    """A schema of tasks, with the extra columns of most fleets' tables at their place.
+
+    Args:
+      schema: without them.
+      columns: of a table; where one of `ATTEMPT_SCHEMA` or `REQUEST_SCHEMA` is among them, all of
+        that schema are added.
+    """
     place = list(schema).index(list(TASK_SCHEMA)[-1]) + 1
-    columns = list(schema.items())
-    return dict([*columns[:place], *ATTEMPT_SCHEMA.items(), *columns[place:]])
+    rest, columns = list(schema.items()), set(columns)
+    extra = [
+        item
+        for group in (ATTEMPT_SCHEMA, REQUEST_SCHEMA)
+        if columns & set(group)
+        for item in group.items()
+    ]
+    return dict([*rest[:place], *extra, *rest[place:]])
 
 
 # -- rows --------------------------------------------------------------------------------------
@@ -100,7 +122,7 @@ def tasks_frame(
       scene_name: (robot, task) -> name of the scene.
 
     Returns:
-      The table, of `TASK_SCHEMA`; with the columns of `ATTEMPT_SCHEMA` where the records have them.
+      The table, of `TASK_SCHEMA`; with those extra columns that the records have.
     """
     rows = []
     records = sorted(records, key=_key)
@@ -111,15 +133,15 @@ def tasks_frame(
         row |= {name: list(row[name]) for name in _COUNTS}
         row |= {name: list(map(nan_to_null, row[name])) for name in _COSTS}
         rows.append(row | {"status": record.status.value, "scene": scene_name(*_key(record))})
-    frame = pl.DataFrame(rows, schema=with_attempts(TASK_SCHEMA))
-    counted = any(record.attempts is not None for record in records)
-    return frame if counted else frame.select(list(TASK_SCHEMA))
+    frame = pl.DataFrame(rows, schema=with_extra(TASK_SCHEMA))
+    present = {name for name in ("attempts", "withdrawn") if frame[name].count()}
+    return frame.select(list(with_extra(TASK_SCHEMA, present)))
 
 
 def task_records(tasks: pl.DataFrame) -> list[TaskRecord]:
     """The task records of a table that `tasks_frame` made."""
     records = []
-    columns = [name for name in with_attempts(TASK_SCHEMA) if name in tasks.columns]
+    columns = list(with_extra(TASK_SCHEMA, tasks.columns))
     for row in tasks.select(columns).drop("scene").iter_rows(named=True):
         terms = [row.pop(name) for name in _TERMS]
         row["terms"] = tuple(map(_nan, terms))
@@ -218,15 +240,14 @@ def conform(
       others: keep its other columns, too.
 
     Returns:
-      The table with the schema's columns, in its order. A table of tasks that has the columns of
-      `ATTEMPT_SCHEMA` keeps them.
+      The table with the schema's columns, in its order. A table of tasks keeps its extra columns.
 
     Raises:
       BadInput: one line that names the file and the column: missing, of another type, or with a
         value that no row may have.
     """
-    if "status" in schema and set(frame.columns) & set(ATTEMPT_SCHEMA):
-        schema = with_attempts(schema)
+    if "status" in schema:
+        schema = with_extra(schema, frame.columns)
     for column, dtype in schema.items():
         if frame.schema.get(column) != dtype:
             found = frame.schema.get(column, "nothing")

@@ -13,7 +13,11 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Event, EventKind, Fleet, FleetConfig
 from pgf_jax.fleet.allocator import AskOutcome, BidWindow, FifoQueue, LossSystem
 from pgf_jax.fleet.compute import Dedicated, Shared, parse_compute
-from pgf_jax.fleet.metrics import (
+from pgf_jax.fleet.operator_pool import OperatorPool
+from pgf_jax.fleet.policies import Discipline, PolicyBase, check_policy, register_policy
+from pgf_jax.fleet.service import LogNormal
+from pgf_jax.fleet.stub import StubRobots, drive, outcome
+from pgf_jax.metrics.summary import (
     busy_ns,
     mean_interval,
     paired_difference,
@@ -22,10 +26,6 @@ from pgf_jax.fleet.metrics import (
     t_quantile,
     window_sizes,
 )
-from pgf_jax.fleet.operator_pool import OperatorPool
-from pgf_jax.fleet.policies import Discipline, PolicyBase, check_policy, register_policy
-from pgf_jax.fleet.service import LogNormal
-from pgf_jax.fleet.stub import StubRobots, drive, outcome
 from pgf_jax.streams import stream
 
 # --- configuration ------------------------------------------------------------------------------

@@ -5,63 +5,17 @@ import random
 import subprocess
 import sys
 
-import numpy as np
 import pytest
-from fleet_script import PUSH
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from random_fleets import CONFIGS, noisy_robots, simulate
 
-from pgf_jax.fleet import EventKind, Fleet, FleetConfig, IterationResult, Work, WorkKind
+from pgf_jax.fleet import EventKind, Fleet, FleetConfig, Work, WorkKind
+from pgf_jax.fleet.config import plans_meanwhile
 from pgf_jax.fleet.event_calendar import nanoseconds
-from pgf_jax.fleet.identities import verify
-from pgf_jax.fleet.metrics import busy_ns
-from pgf_jax.fleet.policies import policy_names
 from pgf_jax.fleet.stub import StubRobots, drive
-from pgf_jax.planning.types import Push
-
-CONFIGS = st.builds(
-    FleetConfig,
-    robots=st.integers(1, 6),
-    tasks=st.integers(1, 3),
-    policy=st.sampled_from(policy_names()),
-    operators=st.integers(1, 3),
-    # Multiples of the rollout time make ties the rule and not the exception.
-    window_s=st.sampled_from([0.0, 1.5, 2.0, 4.0]),
-    service_mean_s=st.sampled_from([0.0, 3.0, 8.0, 40.0]),
-    service_sd_s=st.just(0.0),
-    context_switch_s=st.sampled_from([0.0, 1.5]),
-    compute=st.sampled_from(["dedicated", "shared:16"]),
-    horizon_s=st.sampled_from([None, 20.0, 45.0]),
-    task_limit_s=st.sampled_from([3.0, 20.0, 60.0]),
-    push_limit_s=st.sampled_from([1.0, 6.0, 30.0]),
-    seed=st.integers(0, 5),
-)
-
-
-def noisy_robots(seed: int) -> StubRobots:
-    """Robots of random outcomes, keyed by the work alone."""
-
-    def iterate(work: Work) -> IterationResult:
-        rng = np.random.default_rng((seed, 0, work.robot, work.task, work.iteration))
-        feasible, stuck, non_finite = rng.random(3) < (0.15, 0.4, 0.05)
-        gain = float(rng.choice([np.nan, 0.5, 3.0, 7.0]))
-        cost = float("inf") if non_finite else float(rng.random())
-        return IterationResult(
-            bool(feasible), bool(stuck), gain, (cost, 0.0, 0.0), cost, bool(non_finite)
-        )
-
-    def decide(work: Work) -> Push | None:
-        rng = np.random.default_rng((seed, 1, work.robot, work.task, work.request or 0))
-        return PUSH if rng.random() < 0.6 else None
-
-    return StubRobots(iterate, decide)
-
-
-def simulate(config: FleetConfig, seed: int) -> tuple[Fleet, StubRobots]:
-    robots = noisy_robots(seed)
-    fleet = Fleet(config, robots)
-    drive([(fleet, robots)])
-    return fleet, robots
+from pgf_jax.metrics.identities import verify
+from pgf_jax.metrics.summary import busy_ns
 
 
 @settings(max_examples=150, deadline=None)
@@ -89,8 +43,9 @@ def test_sample_path_identities(config, seed):
     assert not open_asks
     assert not serving
 
-    assert verify(config, records, events) == 18 + 3 * config.robots + 2 * len(records)
-    assert busy_ns(events) == sum(nanoseconds(record.interaction_s) for record in records)
+    assert verify(config, records, events) == 19 + 3 * config.robots + 2 * len(records)
+    served_s = [r.interaction_s if r.served_s is None else r.served_s for r in records]
+    assert busy_ns(events) == sum(map(nanoseconds, served_s))
 
 
 @settings(max_examples=150, deadline=None)
@@ -166,32 +121,40 @@ def test_results_do_not_depend_on_batching_interleaving_or_delivery(configs, see
 @settings(max_examples=50, deadline=None)
 @given(config=CONFIGS, seed=st.integers(0, 1000), order=st.integers(0, 10**6).map(random.Random))
 def test_work_is_handed_out_once_by_robot_and_one_piece_a_robot(config, seed, order):
+    """One piece of what it does; beside it the input it has asked for, if it plans meanwhile."""
     robots = noisy_robots(seed)
     fleet = Fleet(config, robots)
-    held: dict[int, Work] = {}
+    _, plans = plans_meanwhile(config)
+    held: dict[tuple[int, bool], Work] = {}
     seen: set[Work] = set()
     busy_calls = 0
+
+    def whose(work: Work) -> tuple[int, bool]:
+        return work.robot, work.kind is WorkKind.INPUT and plans
+
     while not fleet.done:
         calls = len(robots.calls)
         batch = fleet.advance()
         # No method of a robot is called while its work is outstanding.
-        busy_calls += sum(call[1] in held for call in robots.calls[calls:])
-        assert [work.robot for work in batch] == sorted({work.robot for work in batch})
+        busy_calls += sum((call[1], False) in held for call in robots.calls[calls:])
+        assert [work.robot for work in batch] == sorted(work.robot for work in batch)
+        assert len({whose(work) for work in batch}) == len(batch)
         assert not seen.intersection(batch)
-        assert not held.keys() & {work.robot for work in batch}
+        assert not held.keys() & {whose(work) for work in batch} or robots.discarded
         assert batch or held or fleet.done
         seen.update(batch)
-        held.update({work.robot: work for work in batch})
+        held.update({whose(work): work for work in batch})
         for robot in order.sample(sorted(held), order.randint(min(1, len(held)), len(held))):
             work = held.pop(robot)
             fleet.deliver(work, robots.compute(work))
-    assert busy_calls == 0
+    assert busy_calls == 0 or robots.discarded
     iterations = collections.defaultdict(list)
     for work in seen:
         if work.kind is WorkKind.ITERATION:
             iterations[work.robot, work.task].append(work.iteration)
     for numbers in iterations.values():
-        assert sorted(numbers) == list(range(len(numbers)))
+        assert sorted(set(numbers)) == list(range(max(numbers) + 1))
+        assert len(set(numbers)) == len(numbers) or robots.discarded
 
 
 def test_deliver_refuses_what_was_not_asked_for():
@@ -221,7 +184,7 @@ def test_a_robots_batch_mates_do_not_touch_it():
 
 def test_the_fleet_imports_neither_jax_nor_mujoco():
     code = (
-        "import sys, pgf_jax.fleet, pgf_jax.fleet.metrics, pgf_jax.fleet.stub;"
+        "import sys, pgf_jax.fleet, pgf_jax.metrics.summary, pgf_jax.fleet.stub;"
         "print([m for m in ('jax', 'mujoco', 'scipy') if m in sys.modules])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

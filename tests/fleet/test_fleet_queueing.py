@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from pgf_jax.fleet import Event, EventKind, Fleet, FleetConfig
-from pgf_jax.fleet.metrics import Interval, busy_ns, mean_interval
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
+from pgf_jax.metrics.summary import Interval, busy_ns, mean_interval
 
 DRAWS = 1 << 16  # per robot; read cyclically, far fewer are used
 

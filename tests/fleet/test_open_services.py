@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 from pgf_jax.fleet import EventKind, Fleet, FleetConfig, IterationResult, Work, WorkKind
 from pgf_jax.fleet.event_calendar import nanoseconds
-from pgf_jax.fleet.identities import verify
 from pgf_jax.fleet.policies import policy_names
 from pgf_jax.fleet.records import State
 from pgf_jax.fleet.service import LogNormal, ServiceTimes
 from pgf_jax.fleet.simulator import Attendance
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
+from pgf_jax.metrics.identities import verify
 from pgf_jax.planning.types import UNANSWERED, NoInput, Push, Status
 from pgf_jax.simulation.recorded_operator import Recording
 from pgf_jax.tables.event_log import EventLog

@@ -37,8 +37,8 @@ from pgf_jax.operator_fit.config import FitOperatorConfig
 from pgf_jax.planning.types import Status
 from pgf_jax.plans.file import Plan, load_plan, save_plan
 from pgf_jax.scene import Scene, load_scene, load_scenes, sample_scene, save_scene
-from pgf_jax.simulation.planned_robots import Segment
 from pgf_jax.simulation.recorded_operator import Recording
+from pgf_jax.simulation.robot import Segment
 from pgf_jax.sweeping import cell_file
 from pgf_jax.sweeping.cell_store import MANIFEST, CellStore
 from pgf_jax.sweeping.config import SweepConfig

@@ -35,6 +35,7 @@ from pgf_jax.guidance.operators.heuristic import HeuristicOperator
 from pgf_jax.guidance.operators.oracle import TOTAL, OracleOperator
 from pgf_jax.guidance.trials import PUSH_ITERATIONS, simulate_input
 from pgf_jax.guidance.view import View
+from pgf_jax.planning.search import Search
 from pgf_jax.planning.types import Push
 from pgf_jax.scene import sample_scene
 from pgf_jax.simulation.loop import run_fleets
@@ -253,15 +254,19 @@ def test_trials_do_not_depend_on_their_company(alone, computed_rollouts, lanes):
 # -- operators that simulate pushes --------------------------------------------------------------
 
 
-def simulated(seed: int, push: Push) -> float:
-    """The cost that a push would end in without noise, worked out call by call."""
-    planner, search = native().planner, unsolved(seed)
+def simulated(search: Search, push: Push) -> Search | None:
+    """The reach after a push without noise, worked out call by call; None: the push fails."""
+    planner = native().planner
     goal, path = int(search.task.goal), (4, 3, 2, 1, 0)  # no noise: any key will do
     pushed = stepped(planner.begin_push(search.start, goal, push), path)
     if not planner.terminate(pushed):
-        return np.inf
+        return None
     (world,) = planner.retreat([pushed])
-    return float(stepped(planner.begin_reach(world, goal), path).value.total)
+    return stepped(planner.begin_reach(world, goal), path)
+
+
+def total(reach: Search | None) -> float:
+    return np.inf if reach is None else float(reach.value.total)
 
 
 @pytest.mark.parametrize("seed", [0, 2])
@@ -270,7 +275,7 @@ def test_the_heuristic_gives_the_push_that_ends_best_when_simulated(seed, monkey
     operator, view = HeuristicOperator(), View.of(unsolved(seed))
     given = run(operator.deliberate(view, unsolved(seed), native().planner, turn(seed)))
     pushes = operator.ranked(view, 12)
-    ends = [simulated(seed, push) for push in pushes]
+    ends = [total(simulated(unsolved(seed), push)) for push in pushes]
     assert np.isinf(ends).any() and min(ends) < unsolved(seed).value.total
     assert given == pushes[int(np.argmin(ends))]
     # Neither noise nor company decides.
@@ -279,6 +284,24 @@ def test_the_heuristic_gives_the_push_that_ends_best_when_simulated(seed, monkey
         other = (seed + 1, 5, 6, 7)
         again = operator.deliberate(view, unsolved(seed), planner_service.planner, other)
         assert run(again, planner_service) == given
+
+
+def test_the_heuristic_imagines_a_second_push_where_no_first_one_leads_to_a_grasp(monkeypatch):
+    """By hand: the best two of the first pushes, two second ones after each."""
+    monkeypatch.setattr(heuristic, "SIMULATED", 4)
+    monkeypatch.setattr(heuristic, "FIRST", 2)
+    monkeypatch.setattr(heuristic, "SECOND", 2)
+    planner, operator, search = native().planner, HeuristicOperator(), unsolved(2)
+    pushes = operator.ranked(View.of(search), 4)
+    reaches = [simulated(search, push) for push in pushes]
+    assert not any(reach is not None and planner.terminate(reach) for reach in reaches)
+    ends = [total(reach) for reach in reaches]
+    first = ends.index(min(ends))
+    for i in np.argsort(ends)[:2]:
+        seconds = operator.ranked(View.of(reaches[i]), 2)
+        ends[i] = min([ends[i], *(total(simulated(reaches[i], second)) for second in seconds)])
+    given = run(operator.deliberate(View.of(search), search, planner, turn(2)))
+    assert given == pushes[ends.index(min(ends))] != pushes[first]
 
 
 def asked(request: int, *, content: bool):

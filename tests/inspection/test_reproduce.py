@@ -323,6 +323,7 @@ def settings(**changes) -> SweepConfig:
 
 
 ONE = {"robots": (1,), "horizon": 80.0}
+PLANS = {"while_asking": "plan", "while_served": "plan"}
 
 
 @pytest.mark.parametrize(
@@ -332,13 +333,14 @@ ONE = {"robots": (1,), "horizon": 80.0}
         # The last iterations of the task are after all this.
         ({"engine": "planar", "lanes": 4, "seed": 2, **ONE}, 5, ("retreat_end", "go_on")),
         ({"engine": "ghost", "lanes": 4, "update": "stomp"}, 1, ("push_dropped", "go_on")),
+        ({"engine": "ghost", "lanes": 4, "update": "stomp", **PLANS}, 1, ("push_dropped", "go_on")),
         (
             {"engine": "ghost", "lanes": 4, "random_winner": 0.5, "policies": ("oracle-gain",)},
             1,
             ("push_dropped",),
         ),
     ],
-    ids=["native", "planar", "stomp", "random-winner"],
+    ids=["native", "planar", "stomp", "planning-on", "random-winner"],
 )
 def test_every_iteration_is_the_one_that_was(changes, every, happens):
     """The search before and after it, bit for bit; and the rollouts are those it was made from."""

@@ -19,7 +19,7 @@ from pgf_jax.plans.execute_command import EXECUTION_SCHEMA
 from pgf_jax.plans.file import load_plan, save_plan
 from pgf_jax.plans.plan import plan_scenes
 from pgf_jax.scene import sample_scene
-from pgf_jax.simulation.planned_robots import Segment
+from pgf_jax.simulation.robot import Segment
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from pgf_jax.planning.types import Status
 from pgf_jax.plans.config import PlanConfig
 from pgf_jax.plans.file import Plan, load_plan, plan_path, save_plan
 from pgf_jax.scene import Scene
-from pgf_jax.simulation.planned_robots import Segment
+from pgf_jax.simulation.robot import Segment
 
 
 def a_plan() -> Plan:

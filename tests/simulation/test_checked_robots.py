@@ -199,7 +199,7 @@ def test_a_check_is_of_the_segment_as_planned():
     fleet, robots, _ = checked()
     index = next(r.robot for r in fleet.records if r.status is Status.SOLVED and not r.answered)
     robot = robots.robots[index]
-    place = robot.acts_at
+    place = robot.acts_at(robot.node)
     command = Command(
         place.state,
         np.asarray(robot.search.controls, float),

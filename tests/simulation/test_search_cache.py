@@ -156,7 +156,10 @@ def test_what_an_operator_says_the_second_time_is_another_thing():
     for planned, times in zip(all_robots, (1, 2, 1), strict=True):
         planned.begin(0, 0)
         for i in range(times):
-            scheduler.submit(planned.coroutine(Work(0, 0, WorkKind.INPUT, 0, i)), said.append)
+            work = Work(0, 0, WorkKind.INPUT, 0, i)
+            planned.request(work)
+            scheduler.submit(planned.coroutine(work), said.append)
+            planned.end(work)
         planned.start_push(0, said[-1])
     assert [push.object for push in said] == [0, 0, 1, 0]
     first, second, third = (planned.robots[0].node for planned in all_robots)

@@ -5,7 +5,7 @@ import numpy as np
 from pgf_jax.planning.types import Status
 from pgf_jax.plans.file import TERMS, Plan
 from pgf_jax.scene.scene import Scene
-from pgf_jax.simulation.planned_robots import Segment
+from pgf_jax.simulation.robot import Segment
 
 PUSH = Segment("push", 3.0, np.tile([0.05, 0.0, 0.02], (8, 1)), np.linspace(20.0, 200.0, 8))
 REACH = Segment("reach", 3.0, np.tile([0.06, 0.01, 0.0], (8, 1)), np.zeros(8))

@@ -6,9 +6,9 @@ import polars as pl
 import pytest
 
 from pgf_jax.fleet import EventKind, Fleet, FleetConfig
-from pgf_jax.fleet.attention import attention
-from pgf_jax.fleet.identities import identity_sides, verify
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
+from pgf_jax.metrics.attention import attention
+from pgf_jax.metrics.identities import identity_sides, verify
 from pgf_jax.planning.types import Status
 from pgf_jax.sweeping.config import SweepConfig
 from pgf_jax.sweeping.sweep import sweep
@@ -60,7 +60,7 @@ def test_identities_hold_on_real_runs(fleets):
     for config, records, events in found:
         sides = identity_sides(config, records, events)
         assert {key: pair for key, pair in sides.items() if pair[0] != pair[1]} == {}
-        assert verify(config, records, events) == 18 + 3 * config.robots + 2 * len(records)
+        assert verify(config, records, events) == 19 + 3 * config.robots + 2 * len(records)
     # Not of nothing.
     records = [record for _, own, _ in found for record in own]
     events = [event for _, _, own in found for event in own]

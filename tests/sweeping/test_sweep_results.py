@@ -18,8 +18,8 @@ from pgf_jax.errors import BadInput
 from pgf_jax.files import pdf, png
 from pgf_jax.fleet import CheckResult, Fleet, FleetConfig, ReachResult, WorkKind
 from pgf_jax.fleet.config import Cell
-from pgf_jax.fleet.metrics import CellSummary, Interval, summarise
 from pgf_jax.fleet.stub import StubRobots, drive, missed_checks, missed_grasps, outcome
+from pgf_jax.metrics.summary import CellSummary, Interval, summarise
 from pgf_jax.planning.types import Status
 from pgf_jax.sweeping import columns
 from pgf_jax.sweeping.cell_file import Content, decode
@@ -431,8 +431,8 @@ def test_a_line_of_json_for_each_cell(capsys):
 
 def test_schema_covers_every_field_of_a_record():
     names = {field.name for field in dataclasses.fields(mixed_fleet().records[0])}
-    assert names - {"terms"} <= set(results.with_attempts(results.TASK_SCHEMA))
-    assert set(results.TASK_SCHEMA) & set(results.ATTEMPT_SCHEMA) == set()
+    assert names - {"terms"} <= set(results.with_extra(results.TASK_SCHEMA))
+    assert set(results.TASK_SCHEMA) & set(results.EXTRA_SCHEMA) == set()
     kinds = {"iteration", "retreat", "input", "check", "reach"}
     assert {kind.value for kind in WorkKind} == kinds
 
@@ -475,7 +475,7 @@ def test_tables_of_fleets_with_checks_or_misses(tmp_path, check_miss, grasp_miss
     fleet = unsure(1, check_miss, grasp_miss)
     tasks = tasks_of(fleet)
     assert tasks.columns == [*results.TASK_SCHEMA, *COUNTS]
-    assert dict(tasks.schema) == results.with_attempts(results.TASK_SCHEMA)
+    assert dict(tasks.schema) == results.with_extra(results.TASK_SCHEMA, COUNTS)
     assert tasks["attempts"].null_count() == 0
     assert tasks["checks"].null_count() == (len(tasks) if check_miss is None else 0)
     records = sorted(fleet.records, key=lambda r: (r.robot, r.task))
@@ -489,7 +489,7 @@ def test_tables_of_fleets_with_checks_or_misses(tmp_path, check_miss, grasp_miss
     assert again.data() == content.data()
     merged = columns.merged([again], "tasks")
     assert merged.columns[-len(columns.SETTING_SCHEMA) - 1 :][0] == "task_time_s"
-    assert list(merged.columns) == list(results.with_attempts(columns.TASK_SCHEMA))
+    assert list(merged.columns) == list(results.with_extra(columns.TASK_SCHEMA, COUNTS))
     path.write_bytes(encode_table(merged))
     assert results.read_results(path, columns.TASK_SCHEMA).equals(merged)
     with pytest.raises(BadInput, match="column check_misses must be Int64, got nothing"):
@@ -516,7 +516,7 @@ def test_where_only_some_cells_have_them_the_others_are_null():
     fleets = [unsure(2, None, None), unsure(3), unsure(4, None, 0.3)]
     contents = [Content(tasks_of(f), frame_of(f), about(f)) for f in fleets]
     merged = columns.merged(contents, "tasks")
-    assert merged.columns == list(results.with_attempts(columns.TASK_SCHEMA))
+    assert merged.columns == list(results.with_extra(columns.TASK_SCHEMA, COUNTS))
     nulls = merged.group_by("seed", maintain_order=True).agg(pl.col(COUNTS).null_count())
     assert nulls.rows() == [(2, 9, 9, 9), (3, 0, 0, 0), (4, 9, 9, 0)]
     backwards = columns.merged(contents[::-1], "tasks")

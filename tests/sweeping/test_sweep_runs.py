@@ -25,10 +25,10 @@ from sweep_toys import (
 from pgf_jax.errors import BadInput
 from pgf_jax.files import sha256, write_atomically
 from pgf_jax.fleet.config import Cell
-from pgf_jax.fleet.metrics import mean_interval, rate_interval
 from pgf_jax.guidance.predictors import registry
 from pgf_jax.guidance.predictors.network import GainNetwork
 from pgf_jax.guidance.predictors.true_gain import TrueGain
+from pgf_jax.metrics.summary import mean_interval, rate_interval
 from pgf_jax.physics.engine import ENGINES
 from pgf_jax.provenance import git_commit
 from pgf_jax.sweeping import cell_file, columns

@@ -101,7 +101,7 @@ class HeuristicOperator:
             after = [
                 (i, second)
                 for i in best
-                for second in self.ranked(View.of(trials[i].reach, view.request + 1), SECOND)
+                for second in self.ranked(View.of(trials[i].reach), SECOND)
             ]
             deeper = yield from _imagine(
                 planner, [(trials[i].reach, second) for i, second in after], decision_key

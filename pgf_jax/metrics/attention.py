@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.event_calendar import nanoseconds
 from pgf_jax.fleet.events import ENDS_OF_WAITING, Event, EventKind
-from pgf_jax.fleet.metrics import (
+from pgf_jax.fleet.records import TaskRecord
+from pgf_jax.metrics.summary import (
     NS_PER_HOUR,
     Interval,
     flat_row,
@@ -19,7 +20,6 @@ from pgf_jax.fleet.metrics import (
     ratio,
     summarise,
 )
-from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.planning.types import Status
 
 # An answer that lowers the cost by no more than this is wasted, in units of cost. It is the default

@@ -6,18 +6,13 @@ import pytest
 from fleet_script import PUSH, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_fleet_properties import CONFIGS, simulate
+from identity_cases import altered, failing
+from random_fleets import CONFIGS, simulate
 
 from pgf_jax.fleet import EventKind, FleetConfig
-from pgf_jax.fleet.event_calendar import nanoseconds
-from pgf_jax.fleet.identities import identity_sides, verify
+from pgf_jax.metrics.identities import identity_sides, verify
 
 S = 10**9
-
-
-def failing(config, records, events) -> set[str]:
-    sides = identity_sides(config, records, events)
-    return {name for name, (left, right) in sides.items() if left != right}
 
 
 @pytest.fixture(scope="module")
@@ -51,17 +46,18 @@ def test_sides_with_windows_by_hand(windows):
     got = identity_sides(windows.config, windows.records, windows.events)
     wait, service = 2 + 2 + 0.5, 8
     assert got == {
-        "asks = answered + refused + expired + cut off, of events": (3, 1 + 1 + 0 + 1),
+        "asks = answered + refused + expired + withdrawn + cut off, of events": (3, 1 + 1 + 0 + 1),
         "asks, of events and of records": (3, 3),
         "answered, of events and of records": (1, 1),
         "refused, of events and of records": (1, 1),
         "expired, of events and of records": (0, 0),
         "asks cut off, of events and of records": (1, 1),
+        "withdrawn, of events and of records": (0, 0),
         "grants, of events and of records": (1, 1),
         "grants = ends of services": (1, 1),
         "starts of tasks = records": (2, 2),
         "ends of tasks = records": (2, 2),
-        "bids in windows = winners + losers + expired + cut off": (3, 1 + 1 + 1),
+        "bids in windows = winners + losers + expired + withdrawn + cut off": (3, 1 + 1 + 1),
         "bids in windows at their close = winners + losers": (2, 2),
         "windows opened = closed + cut off": (2, 1 + 1),
         "time of closed windows = their number times T_window": (2 * S, 2 * S),
@@ -94,7 +90,7 @@ def test_sides_with_a_line_by_hand(line):
     assert got["expired, of events and of records"] == (2, 2)
     assert got["integral of the number waiting = waiting of records"] == (wait * S, wait * S)
     assert got["integral of the number of busy operators = services"] == (service * S, service * S)
-    assert got["bids in windows = winners + losers + expired + cut off"] == (0, 0)
+    assert got["bids in windows = winners + losers + expired + withdrawn + cut off"] == (0, 0)
     assert got["waits of robot 2 = waiting of its records"] == (11.5 * S, 11.5 * S)
     assert got["time of robot 0's tasks = its makespan"] == (
         (1.5 + 8 + 3 + 1.5 + 3) * S,
@@ -117,7 +113,7 @@ def test_a_fleet_that_asks_nothing():
     got = identity_sides(fleet.config, fleet.records, fleet.events)
     assert got["integral of the number waiting = waiting of records"] == (0, 0)
     assert got["time of robot 0's tasks = its makespan"] == (18 * S, 18 * S)
-    assert verify(fleet.config, fleet.records, fleet.events) == 18 + 3 + 2 * 2
+    assert verify(fleet.config, fleet.records, fleet.events) == 19 + 3 + 2 * 2
 
 
 # -- errors are found --------------------------------------------------------------------------
@@ -126,11 +122,11 @@ def test_a_fleet_that_asks_nothing():
 @pytest.mark.parametrize(
     ("kind", "name"),
     [
-        ("bid", "asks = answered + refused + expired + cut off, of events"),
+        ("bid", "asks = answered + refused + expired + withdrawn + cut off, of events"),
         ("bid", "asks, of events and of records"),
         ("bid", "bids in windows at their close = winners + losers"),
         ("refused", "refused, of events and of records"),
-        ("refused", "bids in windows = winners + losers + expired + cut off"),
+        ("refused", "bids in windows = winners + losers + expired + withdrawn + cut off"),
         ("expired", "asks cut off, of events and of records"),
         ("grant", "grants, of events and of records"),
         ("grant", "integral of the number of busy operators = interaction of records"),
@@ -211,13 +207,6 @@ def test_an_altered_record_shows_where_it_should(windows, field, names):
     assert failing(windows.config, records, windows.events) == names
 
 
-def altered(record, field):
-    """Change a count by 1, or a time by 1 ns."""
-    value = getattr(record, field)
-    value = (nanoseconds(value) + 1) / 1e9 if isinstance(value, float) else value + 1
-    return dataclasses.replace(record, **{field: value})
-
-
 def test_the_first_identity_that_fails_is_named(windows):
     records = [altered(windows.records[0], "refusals"), *windows.records[1:]]
     message = "pgf, R = 2: refused, of events and of records: 1 is not 2"
@@ -263,6 +252,7 @@ COLUMNS = (
     "refusals",
     "expired",
 )
+REQUEST_COLUMNS = ("asking_s", "served_s", "withdrawn")  # of fleets that plan meanwhile
 
 
 @settings(max_examples=100, deadline=None)
@@ -276,7 +266,8 @@ def test_no_single_error_escapes(config, seed, data):
     assert failing(config, fleet.records, fleet.events[:i] + fleet.events[i + 1 :])
 
     j = data.draw(st.integers(0, len(fleet.records) - 1))
-    field = data.draw(st.sampled_from(COLUMNS))
+    plans = fleet.records[j].withdrawn is not None
+    field = data.draw(st.sampled_from(COLUMNS + REQUEST_COLUMNS if plans else COLUMNS))
     records = list(fleet.records)
     records[j] = altered(records[j], field)
     assert failing(config, records, fleet.events)

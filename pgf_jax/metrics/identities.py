@@ -11,9 +11,9 @@ from collections.abc import Collection, Sequence
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.event_calendar import nanoseconds
 from pgf_jax.fleet.events import ENDS_OF_WAITING, Event, EventKind
-from pgf_jax.fleet.metrics import window_sizes
 from pgf_jax.fleet.policies import Discipline, make_policy
 from pgf_jax.fleet.records import TaskRecord
+from pgf_jax.metrics.summary import window_sizes
 from pgf_jax.planning.types import Status
 
 
@@ -73,6 +73,7 @@ _OUTCOMES = {
     "unanswered": "expired",
     "push": "answered",
     "go_on": "answered",
+    "solved_meanwhile": "withdrawn",
     "censored": "censored",
 }
 
@@ -80,17 +81,21 @@ _OUTCOMES = {
 def _ask_identities(
     records: Sequence[TaskRecord], events: Sequence[Event]
 ) -> dict[str, tuple[int, int]]:
-    """Asks = answered + refused + expired + cut off by the horizon, in events and in records."""
+    """Asks = answered + refused + expired + withdrawn + cut off, in events and in records."""
     kinds = Counter(event.kind for event in events)
     ends = Counter(_OUTCOMES[str(e.outcome)] for e in events if e.kind in _ENDS_OF_ASKS)
     answered, refused, expired = (
         sum(getattr(record, name) for record in records)
         for name in ("answered", "refusals", "expired")
     )
+    withdrawn = sum(record.withdrawn or 0 for record in records)
     requests = sum(record.requests for record in records)
     asks = kinds[EventKind.BID]
     return {
-        "asks = answered + refused + expired + cut off, of events": (asks, ends.total()),
+        "asks = answered + refused + expired + withdrawn + cut off, of events": (
+            asks,
+            ends.total(),
+        ),
         "asks, of events and of records": (asks, requests),
         "answered, of events and of records": (ends["answered"], answered),
         "refused, of events and of records": (ends["refused"], refused),
@@ -98,8 +103,9 @@ def _ask_identities(
         # Records do not count asks that were cut off: they are the rest of the asks.
         "asks cut off, of events and of records": (
             ends["censored"],
-            requests - answered - refused - expired,
+            requests - answered - refused - expired - withdrawn,
         ),
+        "withdrawn, of events and of records": (ends["withdrawn"], withdrawn),
         "grants, of events and of records": (
             kinds[EventKind.GRANT],
             sum(record.grants for record in records),
@@ -113,7 +119,7 @@ def _ask_identities(
 def _window_identities(
     config: FleetConfig, records: Sequence[TaskRecord], events: Sequence[Event]
 ) -> dict[str, tuple[int, int]]:
-    """Every bid in a window wins, loses, expires or is cut off by the horizon."""
+    """Every bid in a window wins, loses, expires, is withdrawn or is cut off by the horizon."""
     length_ns = nanoseconds(config.window_s)
     inside: set[int | None] = set()  # robots whose bid is in the window, until its end is logged
     is_open, opened_ns, lengths_ns, wait_ns = False, 0, 0, 0
@@ -142,7 +148,7 @@ def _window_identities(
     decided = kinds[EventKind.GRANT] + lost if windows else 0
     expired = kinds[EventKind.EXPIRED] if windows else 0
     return {
-        "bids in windows = winners + losers + expired + cut off": (
+        "bids in windows = winners + losers + expired + withdrawn + cut off": (
             bids,
             decided + expired,
         ),
@@ -157,7 +163,7 @@ def _window_identities(
         ),
         "waiting in windows, of events and of records": (
             wait_ns,
-            sum(nanoseconds(record.window_wait_s) for record in records),
+            sum(_in_windows_ns(record, windows=windows) for record in records),
         ),
     }
 
@@ -169,8 +175,8 @@ def _integral_identities(
     records: Sequence[TaskRecord], events: Sequence[Event]
 ) -> dict[str, tuple[int, int]]:
     """L T = sum of waits (Little's law on the sample path), and busy time = sum of services."""
-    waiting_ns = sum(nanoseconds(record.waiting_s) for record in records)
-    served_ns = sum(nanoseconds(record.interaction_s) for record in records)
+    waiting_ns = sum(_asking_ns(record) for record in records)
+    served_ns = sum(_served_ns(record) for record in records)
     busy_ns = _integral(events, EventKind.GRANT, {EventKind.SERVICE_END})
     services_ns = sum(_durations(events, EventKind.GRANT, {EventKind.SERVICE_END}).values())
     return {
@@ -196,8 +202,8 @@ def _robot_identities(
     spent, waited, served = Counter(), Counter(), Counter()
     for record in records:
         spent[record.robot] += _spent_ns(record)
-        waited[record.robot] += nanoseconds(record.waiting_s)
-        served[record.robot] += nanoseconds(record.interaction_s)
+        waited[record.robot] += _asking_ns(record)
+        served[record.robot] += _served_ns(record)
     found = {}
     for robot in range(config.robots):
         found[f"time of robot {robot}'s tasks = its makespan"] = spent[robot], makespan[robot]
@@ -283,9 +289,10 @@ def _attempt_identities(
         rollouts = iterations + sum(r.iterations for r in ended) + sum(n or 0 for n in checks)
         planning_ns = sum(nanoseconds(r.planning_time_s) for r in ended)
         windows_ns = sum(nanoseconds(r.window_wait_s) for r in ended)
+        lost_ns = sum(nanoseconds(r.lost_s or 0.0) for r in ended)  # broken off
         found["planning = windows + rollouts"] = (
             planning_ns,
-            windows_ns + rollouts * rollout_ns,
+            windows_ns + rollouts * rollout_ns + lost_ns,
         )
     return found
 
@@ -341,6 +348,22 @@ def _spent_ns(record: TaskRecord) -> int:
     line_ns = nanoseconds(record.waiting_s) - nanoseconds(record.window_wait_s)
     others = (record.planning_time_s, record.interaction_s, record.execution_s)
     return line_ns + sum(map(nanoseconds, others))
+
+
+def _asking_ns(record: TaskRecord) -> int:
+    """Time that a task's requests waited, whatever the robot did meanwhile, ns."""
+    return nanoseconds(record.waiting_s if record.asking_s is None else record.asking_s)
+
+
+def _in_windows_ns(record: TaskRecord, *, windows: bool) -> int:
+    if record.asking_s is None:
+        return nanoseconds(record.window_wait_s)
+    return nanoseconds(record.asking_s) if windows else 0
+
+
+def _served_ns(record: TaskRecord) -> int:
+    """Time that operators spent on a task, likewise, ns."""
+    return nanoseconds(record.interaction_s if record.served_s is None else record.served_s)
 
 
 def _integral(events: Sequence[Event], begin: EventKind, ends: Collection[EventKind]) -> int:
