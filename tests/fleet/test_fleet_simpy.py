@@ -100,6 +100,7 @@ class Model:
         self.window: dict[int, tuple[float, simpy.Event]] | None = None
         self.free = list(range(config.operators))
         self.store = simpy.PriorityStore(self.env)
+        self.turns: dict[int, Any] = {}  # robot -> its place in line
         for operator in range(config.operators):
             self.store.put(operator)
         for robot in range(config.robots):
@@ -241,10 +242,10 @@ class Model:
 
     def in_line(self, robot: int, task: int, gain: float, deadline: float) -> Process:
         self.note("bid", robot, task)
-        if self.config.policy == "or-hitl" and not self.store.items:
+        if self.config.policy.startswith("or-hitl") and not self.store.items:
             self.note("refused", robot, task, outcome="busy")
             return None
-        turn = self.store.get()
+        turn = self.turns[robot] = self.store.get()
         yield turn | self.env.timeout(deadline - self.env.now)
         if not turn.triggered:
             turn.cancel()
@@ -272,8 +273,11 @@ def by_instant(log: list[tuple]) -> list[tuple]:
     return sorted(log, key=lambda row: (row[0], str(row)))
 
 
-def compare(given: World, policy: str, operators: int) -> list[tuple]:
+def compare(
+    given: World, policy: str, operators: int, simulation: type[Model] = Model
+) -> list[tuple]:
     """Run both simulations; returns the rows of the model, which are those of the fleet."""
+    plans: Any = {} if simulation is Model else {"while_asking": "plan", "while_served": "plan"}
     config = FleetConfig(
         robots=7,
         tasks=3,
@@ -281,6 +285,7 @@ def compare(given: World, policy: str, operators: int) -> list[tuple]:
         operators=operators,
         push_limit_s=8.0,
         task_limit_s=60.0,
+        **plans,
     )
 
     def decide(work: Work) -> Push | None:
@@ -302,7 +307,7 @@ def compare(given: World, policy: str, operators: int) -> list[tuple]:
     fleet = Fleet(config, robots, service=given, compute=given)
     drive([(fleet, robots)])
 
-    model = Model(config, given)
+    model = simulation(config, given)
     model.env.run()
     assert by_instant(rows(fleet)) == by_instant(model.rows)
     return model.rows
