@@ -1,8 +1,9 @@
 """The fleet: a discrete-event simulation of robots that share human operators (Alg. 2).
 
 Read `simulator.py` first: it takes events in time order, hands out the robots' work and takes the
-results back. `event_handlers.py` holds what each event changes, `allocator.py` is Alg. 2,
-`policies.py` says when a robot asks, `stub.py` runs a fleet without physics.
+results back. `event_handlers.py` and its two parts hold what each event changes, `allocator.py` is
+Alg. 2, `policies.py` says when a robot asks, `index.py` ranks robots that need not ask, `stub.py`
+runs a fleet without physics.
 
 May import `planning.types`, `settings`, `streams` and `errors`; nothing of JAX or MuJoCo.
 """

@@ -121,7 +121,7 @@ def make_allocator(discipline: Discipline, *, seed: int, robots: int) -> Allocat
     match Discipline(discipline):
         case Discipline.WINDOW:
             return BidWindow(seed=seed, robots=robots)
-        case Discipline.LINE:
+        case Discipline.LINE | Discipline.INDEX:  # whom an index chooses waits no time in line
             return FifoQueue()
         case Discipline.REFUSE:
             return LossSystem()

@@ -6,10 +6,10 @@ schedules further events and requests work. `planning_handlers.py` has those of 
 `request_handlers.py` those of asks and operators.
 """
 
-from pgf_jax.fleet.attendance import AttendanceSchedule
 from pgf_jax.fleet.compute import ComputeModel
 from pgf_jax.fleet.event_calendar import SERVICE_ENDS, EventPriority, ScheduledEvent
 from pgf_jax.fleet.fleet_state import FleetState
+from pgf_jax.fleet.operators import AttendanceSchedule
 from pgf_jax.fleet.planning_handlers import PlanningHandlers
 from pgf_jax.fleet.records import State
 from pgf_jax.fleet.request_handlers import RequestHandlers
@@ -71,6 +71,20 @@ class EventHandlers:
             else:
                 assert isinstance(result, IterationResult)
                 planning.on_iteration_end(run, result)
+
+        requests.note_event()
+
+    @property
+    def has_pending(self) -> bool:
+        """Whether something is left to be done at the end of this instant."""
+        return self.requests.undecided or bool(self.planning.starting)
+
+    def end_instant(self) -> None:
+        """Decide whom to serve, or else start iterations: all events of the instant are handled."""
+        if self.requests.undecided:
+            self.requests.decide()
+        else:
+            self.planning.start_iterations()
 
     def censor(self, horizon_ns: int) -> None:
         """End all running tasks at the horizon, as censored."""

@@ -9,7 +9,7 @@ order in which fleets or batches are computed. To add a policy, register a facto
 import dataclasses
 import enum
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from pgf_jax.errors import BadInput, short_repr
@@ -23,6 +23,7 @@ class Discipline(enum.StrEnum):
     WINDOW = "window"  # Alg. 2: bids are collected in a window, the highest win at its end
     REFUSE = "refuse"  # granted at once or refused
     LINE = "line"  # first come, first served; robots wait
+    INDEX = "index"  # robots do not ask: a free operator takes the one of highest index
 
 
 class TaskProgress(NamedTuple):
@@ -280,6 +281,8 @@ class CheckedPolicy:
                     "PolicyBase"
                 )
         given = getattr(policy, "discipline", None)
+        if given == Discipline.INDEX and not callable(getattr(policy, "index", None)):
+            raise BadInput(f"{self._words}: {short_repr(policy)} has no method index")
         if given not in list(Discipline):
             raise BadInput(
                 f"{self._words}: discipline: expected one of {', '.join(Discipline)}, got "
@@ -295,6 +298,16 @@ class CheckedPolicy:
     def bid(self, result: IterationResult, progress: TaskProgress) -> float | None:
         """See `Policy.bid`."""
         return self._checked("bid", self.policy.bid(result, progress))
+
+    def index(self, robots: Sequence[Any]) -> list[float | None]:
+        """See `index.IndexPolicy.index`."""
+        found = self.policy.index(robots)
+        if len(robots) != getattr(found, "__len__", lambda: None)():
+            raise BadInput(
+                f"{self._words}: index: expected {len(robots)} numbers, one a robot, got "
+                f"{short_repr(found)}"
+            )
+        return [self._checked("index", value) for value in found]
 
     def _checked(self, method: str, bid: Any) -> float | None:
         if bid is None:

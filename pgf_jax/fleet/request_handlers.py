@@ -3,11 +3,11 @@
 from typing import Any, Protocol
 
 from pgf_jax.fleet.allocator import AskOutcome, make_allocator
-from pgf_jax.fleet.attendance import AttendanceSchedule
 from pgf_jax.fleet.event_calendar import FLEET, EventPriority, nanoseconds
 from pgf_jax.fleet.events import EventKind
 from pgf_jax.fleet.fleet_state import FleetState
-from pgf_jax.fleet.operator_pool import OperatorPool
+from pgf_jax.fleet.index import RobotState, ranking
+from pgf_jax.fleet.operators import AttendanceSchedule, OperatorPool
 from pgf_jax.fleet.policies import Discipline
 from pgf_jax.fleet.records import State
 from pgf_jax.fleet.robots import Work, WorkKind
@@ -44,6 +44,7 @@ class RequestHandlers:
 
     Attributes:
       operators: which operators are present, and whom they serve.
+      undecided: under the discipline `index`: something has happened since the last decision.
     """
 
     def __init__(
@@ -63,6 +64,9 @@ class RequestHandlers:
             state.policy.discipline, seed=config.seed, robots=config.robots
         )
         windows = state.policy.discipline is Discipline.WINDOW
+        self._ranks = state.policy.discipline is Discipline.INDEX
+        self.undecided = False
+        self._decisions = 0
         self._waiting = State.IN_WINDOW if windows else State.IN_LINE
 
     # --- events ---------------------------------------------------------------------------------
@@ -107,6 +111,7 @@ class RequestHandlers:
                 ending["outcome"] = "go_on" if given is None else given.value
             self._end_service(run, **ending)
             run.count_input(given)
+            run.helped_ns, run.helped_at = self._state.now_ns, run.work_iterations
             self._planning.take_input(run, given)
         self.serve_waiting()
 
@@ -126,12 +131,7 @@ class RequestHandlers:
             state.log(EventKind.WINDOW_OPEN, run)
             close_ns = now_ns + nanoseconds(state.config.window_s)
             state.calendar.schedule(close_ns, EventPriority.WINDOW_CLOSE, FLEET)
-        run.requests += 1
-        if run.first_bid is None:
-            run.first_bid = run.reach_iterations
-        ended = run.last_iteration
-        state.log(EventKind.BID, run, request=run.request, iteration=ended, gain=bid)
-        run.enter_request(self._waiting, now_ns)
+        self._ask(run, bid)
         if outcome is AskOutcome.REFUSED:
             self._refuse(run, "busy")
             self._planning.plan(run)
@@ -168,6 +168,14 @@ class RequestHandlers:
         else:
             self._state.log(EventKind.EXPIRED, run, request=run.request, outcome=why)
             run.enter_request(None, self._state.now_ns)
+
+    def _ask(self, run: TaskRun, bid: float) -> None:
+        run.requests += 1
+        if run.first_bid is None:
+            run.first_bid = run.reach_iterations
+        ended = run.last_iteration
+        self._state.log(EventKind.BID, run, request=run.request, iteration=ended, gain=bid)
+        run.enter_request(self._waiting, self._state.now_ns)
 
     def serve_waiting(self) -> None:
         """Let the operators who are free turn to robots that wait in line."""
@@ -208,6 +216,33 @@ class RequestHandlers:
             self._schedule_end(run, end_ns, work)
         else:
             self._schedule_end(run, run.deadline_ns, None)
+
+    # --- the discipline `index` -----------------------------------------------------------------
+
+    def note_event(self) -> None:
+        """Something has happened, so that there may be another to serve."""
+        self.undecided = self._ranks
+
+    def decide(self) -> None:
+        """Let the operators who are free take the robots of highest index, if there are any."""
+        self.undecided = False
+        runs, free = self._state.runs, self.operators.free
+        robots = [self._seen(run) for _, run in sorted(runs.items()) if run.may_be_helped]
+        if not free or not robots:
+            return
+        policy: Any = self._state.policy
+        seed, decision = self._state.config.seed, self._decisions
+        self._decisions += 1
+        for robot, index in ranking(policy, robots, seed=seed, decision=decision)[:free]:
+            self._ask(runs[robot], index)
+            self._grant(runs[robot])
+
+    def _seen(self, run: TaskRun) -> RobotState:
+        now_ns = self._state.now_ns
+        assert run.last_reach is not None
+        return RobotState(run.progress(now_ns), run.last_reach, (now_ns - run.helped_ns) / 1e9)
+
+    # --- services -------------------------------------------------------------------------------
 
     def answer(self, end_ns: int, work: Work) -> None:
         """Let the open service of a robot end with an input that has been delivered."""

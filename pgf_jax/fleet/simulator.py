@@ -24,13 +24,12 @@ the same times give the same log again.
 import math
 from collections.abc import Iterable
 
-from pgf_jax.fleet.attendance import Attendance, AttendanceSchedule
 from pgf_jax.fleet.compute import ComputeModel, parse_compute
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.fleet.event_calendar import Calendar, nanoseconds
 from pgf_jax.fleet.event_handlers import EventHandlers
 from pgf_jax.fleet.fleet_state import FleetState
-from pgf_jax.fleet.operator_pool import OperatorPool
+from pgf_jax.fleet.operators import Attendance, AttendanceSchedule, OperatorPool
 from pgf_jax.fleet.robots import Result, Robots, Work
 from pgf_jax.fleet.service import LogNormal, ServiceTimes
 from pgf_jax.fleet.task_run import TaskRun
@@ -99,10 +98,10 @@ class Fleet:
             self._until_ns = max(self._until_ns, until_ns)
         while not self.done:
             scheduled, horizon_ns = self._calendar.peek(), self._calendar.horizon_ns
-            if self._handlers.planning.starting and (
+            if self._handlers.has_pending and (
                 scheduled is None or scheduled.time_ns > self.now_ns  # this instant is over
             ):
-                self._handlers.planning.start_iterations()
+                self._handlers.end_instant()
             elif scheduled is None:
                 self.done = True
             elif until_ns is not None and until_ns < min(scheduled.time_ns, horizon_ns):

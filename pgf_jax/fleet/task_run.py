@@ -45,6 +45,9 @@ class TaskRun:
         default_factory=lambda: dict.fromkeys(State, 0)
     )
 
+    helped_ns: int = 0  # when the last service with an answer ended, or the task's start
+    helped_at: int = 0  # iterations of the task that had ended then
+
     work_iterations: int = 0  # iteration 0s included: the next iteration's number in `Work`
     iterations: int = 0
     reach_iterations: int = 0
@@ -72,7 +75,7 @@ class TaskRun:
     saturated: int = 0
 
     def __post_init__(self) -> None:
-        self.since_ns = self.start_ns
+        self.since_ns = self.helped_ns = self.start_ns
 
     def enter(self, state: State, now_ns: int) -> None:
         """Book the time since the last change of state, and change the state."""
@@ -84,6 +87,13 @@ class TaskRun:
         if self.request_state is not None:
             self.request_ns[self.request_state] += now_ns - self.request_since_ns
         self.request_state, self.request_since_ns = state, now_ns
+
+    @property
+    def may_be_helped(self) -> bool:
+        """Whether an operator could turn to it: it plans a reach, and has iterated since."""
+        plans = self.state is State.PLANNING and self.push is None and self.check is None
+        iterated = self.nominal_done and self.work_iterations > self.helped_at
+        return plans and iterated and self.request_state is None and self.last_reach is not None
 
     def start_segment(self, *, nominal_done: bool = False) -> None:
         """Start a segment with a new stuck counter; with a new nominal and history unless said."""

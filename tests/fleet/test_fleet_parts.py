@@ -13,7 +13,7 @@ from pgf_jax.errors import BadInput
 from pgf_jax.fleet import Event, EventKind, Fleet, FleetConfig
 from pgf_jax.fleet.allocator import AskOutcome, BidWindow, FifoQueue, LossSystem
 from pgf_jax.fleet.compute import Dedicated, Shared, parse_compute
-from pgf_jax.fleet.operator_pool import OperatorPool
+from pgf_jax.fleet.operators import OperatorPool
 from pgf_jax.fleet.policies import Discipline, PolicyBase, check_policy, register_policy
 from pgf_jax.fleet.service import LogNormal
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
