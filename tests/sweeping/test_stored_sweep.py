@@ -41,14 +41,14 @@ def test_what_is_edited_is_found(stored, name):
     assert [finding.path.name for finding in check_files(stored).findings] == [name]
 
 
-def test_its_cells_are_those_of_the_same_sweep_today_but_for_planar_s_revision(stored):
+def test_its_cells_are_those_of_the_same_sweep_today_but_for_revisions(stored):
     """So that --resume keeps none; versions and device apart, which are those of the computer."""
     for key in cell_file.finished(stored):
         about = cell_file.read(cell_file.path(stored, key)).about
         (cell,) = resolve(config_of(about, {}, stored)).cells
         theirs = {**about["identity"], "versions": cell.identity["versions"]}
-        assert "revisions" not in theirs  # planar 1
-        today = {"device": cell.identity["device"], "revisions": {"engine": 2}}
+        assert "revisions" not in theirs  # planar 1, heuristic 1
+        today = {"device": cell.identity["device"], "revisions": {"engine": 2, "operator": 2}}
         assert {**theirs, **today} == cell.identity
 
 
