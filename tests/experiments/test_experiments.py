@@ -78,7 +78,7 @@ def test_rows_come_from_the_cells_of_a_sweep(tmp_path, capsys):
             for robots in (1, 2)
         ]
         assert rows["robot_hours"].to_list() == pytest.approx([8 / 3600, 16 / 3600] * 4)
-        assert (rows["identities"] == 18 + 3 * rows["robots"] + 2 * rows["robots"]).all()
+        assert (rows["identities"] == 19 + 3 * rows["robots"] + 2 * rows["robots"]).all()
     assert capsys.readouterr().err.count("kept: ") == 1
 
 
