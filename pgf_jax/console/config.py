@@ -32,8 +32,8 @@ from pgf_jax.settings import Bounds, Count, Seconds, Seed, check_choice, check_f
 from pgf_jax.sweeping.config import SampledClass, SweepConfig
 
 LOOPBACK = "127.0.0.1"
-# Settings that a sweep does not have; a sweep has all others under the same name.
 _SERVICE = ("service_mean", "service_sd", *MEANWHILE_OPTIONS)
+# Settings that a sweep does not have; a sweep has all others under the same name.
 _OWN = ("robots", "policy", "speed", "patience", "host", "port")
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.compute import parse_compute
-from pgf_jax.fleet.policies import check_policy, make_policy
+from pgf_jax.fleet.policies import Policy, check_policy
 from pgf_jax.settings import Bounds, Count, Seconds, check_fields
 
 # The simulated clock counts whole nanoseconds: a rollout of 0 ns would never let it advance.
@@ -85,11 +85,10 @@ class FleetConfig:
         check_policy(self.policy)
 
 
-def plans_meanwhile(config: FleetConfig) -> tuple[bool, bool]:
+def plans_meanwhile(config: FleetConfig, policy: Policy) -> tuple[bool, bool]:
     """Whether the robots of a fleet plan while they ask, and while they are served."""
-    own = make_policy(config).plans_on
     given = (config.while_asking, config.while_served)
-    asking, served = (own if chosen is None else chosen == "plan" for chosen in given)
+    asking, served = (policy.plans_on if chosen is None else chosen == "plan" for chosen in given)
     return asking, served
 
 

@@ -71,7 +71,6 @@ class EventHandlers:
             else:
                 assert isinstance(result, IterationResult)
                 planning.on_iteration_end(run, result)
-
         requests.note_event()
 
     @property

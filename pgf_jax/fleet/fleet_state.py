@@ -33,7 +33,7 @@ class FleetState:
         self.runs: dict[int, TaskRun] = {}
         self.config = config
         self.policy = make_policy(config)
-        self.plans_while_asking, self.plans_while_served = plans_meanwhile(config)
+        self.plans_while_asking, self.plans_while_served = plans_meanwhile(config, self.policy)
         self.robots = robots
         self.calendar = calendar
         self.work = work

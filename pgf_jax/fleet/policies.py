@@ -302,12 +302,16 @@ class CheckedPolicy:
     def index(self, robots: Sequence[Any]) -> list[float | None]:
         """See `index.IndexPolicy.index`."""
         found = self.policy.index(robots)
-        if len(robots) != getattr(found, "__len__", lambda: None)():
+        try:
+            values = list(found)
+        except TypeError:  # no sequence
+            values = None
+        if values is None or len(values) != len(robots):
             raise BadInput(
                 f"{self._words}: index: expected {len(robots)} numbers, one a robot, got "
                 f"{short_repr(found)}"
             )
-        return [self._checked("index", value) for value in found]
+        return [self._checked("index", value) for value in values]
 
     def _checked(self, method: str, bid: Any) -> float | None:
         if bid is None:

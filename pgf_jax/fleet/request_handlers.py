@@ -227,8 +227,10 @@ class RequestHandlers:
         """Let the operators who are free take the robots of highest index, if there are any."""
         self.undecided = False
         runs, free = self._state.runs, self.operators.free
+        if not free:
+            return
         robots = [self._seen(run) for _, run in sorted(runs.items()) if run.may_be_helped]
-        if not free or not robots:
+        if not robots:
             return
         policy: Any = self._state.policy
         seed, decision = self._state.config.seed, self._decisions

@@ -41,9 +41,7 @@ class TaskRun:
     # The request: it waits, or is served, whatever the robot does meanwhile.
     request_state: State | None = None
     request_since_ns: int = 0
-    request_ns: dict[State, int] = dataclasses.field(
-        default_factory=lambda: dict.fromkeys(State, 0)
-    )
+    request_ns: dict[State, int] = dataclasses.field(default_factory=_nothing_booked)
 
     helped_ns: int = 0  # when the last service with an answer ended, or the task's start
     helped_at: int = 0  # iterations of the task that had ended then
@@ -90,7 +88,7 @@ class TaskRun:
 
     @property
     def may_be_helped(self) -> bool:
-        """Whether an operator could turn to it: it plans a reach, and has iterated since."""
+        """Whether a free operator could take it: it plans a reach, and not just after a service."""
         plans = self.state is State.PLANNING and self.push is None and self.check is None
         iterated = self.nominal_done and self.work_iterations > self.helped_at
         return plans and iterated and self.request_state is None and self.last_reach is not None

@@ -17,6 +17,7 @@ from pgf_jax.batching.scheduler import BatchScheduler
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.config import Cell, plans_meanwhile
 from pgf_jax.fleet.events import Event, EventKind
+from pgf_jax.fleet.policies import make_policy
 from pgf_jax.fleet.robots import CheckResult, IterationResult, Work, WorkKind
 from pgf_jax.guidance.operators.base import NoOperator
 from pgf_jax.guidance.predictors.true_gain import TrueGain
@@ -110,7 +111,9 @@ class _RepeatedTask:
         )
         self._robots.begin(robot, task)
         self._robot, self._task, self._iterations = robot, task, 0
-        _, self._plans = plans_meanwhile(spec.config)  # while it is served
+        _, self._plans = plans_meanwhile(
+            spec.config, make_policy(spec.config)
+        )  # while it is served
         self._go_on_given = False  # while an iteration or a check was under way
         self._checks = 0  # of the iteration that has ended last
         self._missed = False  # the reach that was executed last

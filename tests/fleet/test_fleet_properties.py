@@ -13,6 +13,7 @@ from random_fleets import CONFIGS, noisy_robots, simulate
 from pgf_jax.fleet import EventKind, Fleet, FleetConfig, Work, WorkKind
 from pgf_jax.fleet.config import plans_meanwhile
 from pgf_jax.fleet.event_calendar import nanoseconds
+from pgf_jax.fleet.policies import make_policy
 from pgf_jax.fleet.stub import StubRobots, drive
 from pgf_jax.metrics.identities import verify
 from pgf_jax.metrics.summary import busy_ns
@@ -124,7 +125,7 @@ def test_work_is_handed_out_once_by_robot_and_one_piece_a_robot(config, seed, or
     """One piece of what it does; beside it the input it has asked for, if it plans meanwhile."""
     robots = noisy_robots(seed)
     fleet = Fleet(config, robots)
-    _, plans = plans_meanwhile(config)
+    _, plans = plans_meanwhile(config, make_policy(config))
     held: dict[tuple[int, bool], Work] = {}
     seen: set[Work] = set()
     busy_calls = 0

@@ -136,10 +136,7 @@ class Model:
             fresh, stuck, iteration = False, result.stuck, iteration + 1
             self.note("iteration", robot, task)
             if result.feasible and pushing:
-                yield env.timeout(3 * 10**9)
-                self.note("execution_end", robot, task, outcome="push")
-                yield env.timeout(10**9)
-                self.note("retreat_end", robot, task)
+                yield from self.push(robot, task)
                 deadline += 4 * 10**9
                 pushing, fresh, stuck = False, True, False
                 continue
@@ -190,6 +187,13 @@ class Model:
             if push:
                 pushing, fresh = True, True
                 push_deadline = env.now + nanoseconds(config.push_limit_s)
+
+    def push(self, robot: int, task: int) -> Process:
+        """Execute a push, and retract."""
+        yield self.env.timeout(3 * 10**9)
+        self.note("execution_end", robot, task, outcome="push")
+        yield self.env.timeout(10**9)
+        self.note("retreat_end", robot, task)
 
     def checks(self, robot: int, task: int, iteration: int, deadline: float) -> Process:
         """Check the candidates of the iteration before `iteration`.

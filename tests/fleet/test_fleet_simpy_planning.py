@@ -88,10 +88,7 @@ class PlanningModel(Model):
                 fresh, stuck, iteration = False, result.stuck, iteration + 1
                 self.note("iteration", robot, task)
                 if result.feasible and pushing:
-                    yield env.timeout(3 * 10**9)
-                    self.note("execution_end", robot, task, outcome="push")
-                    yield env.timeout(10**9)
-                    self.note("retreat_end", robot, task)
+                    yield from self.push(robot, task)
                     it.deadline += 4 * 10**9
                     pushing, fresh, stuck = False, True, False
                     continue

@@ -1,18 +1,17 @@
 """Open services, operators who come and leave, and simulated time that follows the wall clock."""
 
 import dataclasses
-import math
 import random
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from fleet_script import PUSH, Constant, log, scripted
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from random_fleets import noisy_robots
 
-from pgf_jax.fleet import EventKind, Fleet, FleetConfig, IterationResult, Work, WorkKind
+from pgf_jax.fleet import EventKind, Fleet, FleetConfig, Work, WorkKind
 from pgf_jax.fleet.event_calendar import nanoseconds
 from pgf_jax.fleet.policies import policy_names
 from pgf_jax.fleet.records import State
@@ -455,25 +454,6 @@ def test_a_change_now_comes_before_one_that_was_planned():
 # -- the clock -----------------------------------------------------------------------------------
 
 
-def noisy(seed: int) -> StubRobots:
-    """Robots of random outcomes, keyed by the work alone."""
-
-    def iterate(work: Work) -> IterationResult:
-        rng = np.random.default_rng((seed, 0, work.robot, work.task, work.iteration))
-        feasible, stuck, non_finite = rng.random(3) < (0.15, 0.4, 0.05)
-        gain = float(rng.choice([np.nan, 0.5, 3.0, 7.0]))
-        cost = math.inf if non_finite else float(rng.random())
-        return IterationResult(
-            bool(feasible), bool(stuck), gain, (cost, 0.0, 0.0), cost, bool(non_finite)
-        )
-
-    def decide(work: Work) -> Push | None:
-        rng = np.random.default_rng((seed, 1, work.robot, work.task, work.request or 0))
-        return PUSH if rng.random() < 0.6 else None
-
-    return StubRobots(iterate, decide)
-
-
 CONFIGS = st.builds(
     FleetConfig,
     robots=st.integers(1, 5),
@@ -489,6 +469,8 @@ CONFIGS = st.builds(
     task_limit_s=st.sampled_from([3.0, 20.0, 60.0]),
     push_limit_s=st.sampled_from([1.0, 6.0, 30.0]),
     seed=st.integers(0, 5),
+    while_asking=st.sampled_from([None, "wait", "plan"]),
+    while_served=st.sampled_from([None, "wait", "plan"]),
 )
 SEEDS = st.integers(0, 1000)
 CHANCE = st.integers(0, 10**6).map(random.Random)
@@ -515,9 +497,9 @@ def same(fleet: Fleet, other: Fleet) -> bool:
 @settings(max_examples=150, deadline=None)
 @given(config=CONFIGS, seed=SEEDS, chance=CHANCE, plan=PLANS)
 def test_a_held_clock_changes_nothing(config, seed, chance, plan):
-    free = Fleet(config, expected := noisy(seed), attendance=plan)
+    free = Fleet(config, expected := noisy_robots(seed), attendance=plan)
     drive([(free, expected)])
-    held = Fleet(config, robots := noisy(seed), attendance=plan)
+    held = Fleet(config, robots := noisy_robots(seed), attendance=plan)
     outstanding: list[Work] = []
     until_ns = 0
     for _ in range(chance.randrange(200)):
@@ -541,7 +523,7 @@ def test_a_held_clock_changes_nothing(config, seed, chance, plan):
 @settings(max_examples=100, deadline=None)
 @given(config=CONFIGS, seed=SEEDS, until=st.integers(0, 80 * S), late=st.integers(0, 4 * S))
 def test_an_earlier_time_takes_nothing_back(config, seed, until, late):
-    fleet = Fleet(config, robots := noisy(seed))
+    fleet = Fleet(config, robots := noisy_robots(seed))
     drive_to(fleet, robots, until)
     events = list(fleet.events)
     assert fleet.advance(max(0, until - late)) == []
@@ -566,7 +548,7 @@ def drive_to(fleet: Fleet, robots: StubRobots, until_ns: int) -> None:
     plan=PLANS,
 )
 def test_a_fleet_that_is_stopped_is_one_of_that_horizon(config, seed, until_ns, ahead, plan):
-    fleet = Fleet(config, robots := noisy(seed), attendance=plan)
+    fleet = Fleet(config, robots := noisy_robots(seed), attendance=plan)
     if ahead:  # the clock is ahead of what has been computed
         outstanding = fleet.advance(until_ns)
     else:
@@ -578,7 +560,7 @@ def test_a_fleet_that_is_stopped_is_one_of_that_horizon(config, seed, until_ns, 
         fleet.deliver(work, robots.compute(work))
     drive([(fleet, robots)])
     config = dataclasses.replace(config, horizon_s=(until_ns + 1) / 1e9)
-    other = Fleet(config, robots := noisy(seed), attendance=plan)
+    other = Fleet(config, robots := noisy_robots(seed), attendance=plan)
     drive([(other, robots)])
     assert same(fleet, other)
     verify(config, fleet.records, fleet.events)
@@ -610,7 +592,9 @@ def test_an_input_counts_when_the_fleet_is_stopped_after_it():
 
 
 def test_a_stop_does_not_put_the_horizon_off():
-    fleet = Fleet(FleetConfig(tasks=1, policy="autonomous", horizon_s=3.0), robots := noisy(0))
+    fleet = Fleet(
+        FleetConfig(tasks=1, policy="autonomous", horizon_s=3.0), robots := noisy_robots(0)
+    )
     pending = fleet.advance(5 * S)
     fleet.stop()
     for work in pending:
@@ -644,7 +628,7 @@ class Live:
     until_ns: int = 0
 
     def run(self) -> Fleet:
-        chance, robots = self.chance, noisy(self.seed)
+        chance, robots = self.chance, noisy_robots(self.seed)
         fleet = Fleet(self.config, robots, service=self.service)
         stop_ns = chance.choice([None, None, chance.randrange(100 * S)])
         outstanding: list[Work] = []
@@ -716,7 +700,7 @@ def replay(
     def decide(work: Work) -> Given:
         return said.inputs[work.robot, work.task, work.request or 0][1]
 
-    robots = noisy(seed)
+    robots = noisy_robots(seed)
     robots = StubRobots(robots.compute, decide)  # pyright: ignore[reportArgumentType]
     fleet = Fleet(config, robots, service=said, attendance=said.attendance)
     until_ns = None if held is None else 0
@@ -782,7 +766,7 @@ def test_a_log_that_breaks_off_is_the_beginning_of_its_replay(config, seed, chan
 
 def test_a_simulated_operator_is_replayed_as_well():
     config = FleetConfig(robots=4, tasks=3, policy="pgf", service_mean_s=8.0, service_sd_s=4.0)
-    fleet = Fleet(config, robots := noisy(3), service=LogNormal(0, 8.0, 4.0))
+    fleet = Fleet(config, robots := noisy_robots(3), service=LogNormal(0, 8.0, 4.0))
     drive([(fleet, robots)])
     assert same(replay(config, 3, recording(fleet)), fleet)
     assert Constant(2.0).seconds(0, 0, 0) == 2.0
