@@ -209,9 +209,8 @@ class RequestHandlers:
             return
         end_ns = state.now_ns + nanoseconds(seconds)
         # A service that would go past the task's limit ends at the limit without an input: the
-        # robot would have no time left to use it, and the operator is free for other robots. An
-        # input exactly at the limit is in time.
-        if end_ns <= run.deadline_ns:
+        # robot would have no time left to use it, and the operator is free for other robots.
+        if self._in_time(run, end_ns):
             state.request_work(work, end_ns)
             self._schedule_end(run, end_ns, work)
         else:
@@ -249,10 +248,19 @@ class RequestHandlers:
     def answer(self, end_ns: int, work: Work) -> None:
         """Let the open service of a robot end with an input that has been delivered."""
         run = self._state.runs[work.robot]
-        if end_ns <= run.deadline_ns:
+        if self._in_time(run, end_ns):
             self._schedule_end(run, end_ns, work)
         else:  # after the task's limit, whose event has not been handled yet
             self._state.discard_work(work)
+
+    def _in_time(self, run: TaskRun, end_ns: int) -> bool:
+        """Whether an answer comes before the task's limit ends the service.
+
+        One that comes exactly then is in time for a robot that waits for it. For one that plans the
+        limit comes first, as its own iteration or check may end at that instant too.
+        """
+        before = run.deadline_ns - self._state.plans_while_served
+        return end_ns <= before
 
     def _schedule_end(self, run: TaskRun, end_ns: int, work: Work | None) -> None:
         late = run.state is State.PLANNING and work is not None

@@ -67,6 +67,7 @@ class TaskRun:
     successful_grants_at: list[int] = dataclasses.field(default_factory=list)
     asked_cost: list[float] = dataclasses.field(default_factory=list)
     helped_cost: list[float] = dataclasses.field(default_factory=list)
+    helped_from: int = 0  # iterations before the last input; its `helped_cost` needs one after it
     helped_until: int = 0  # reach iterations that still count for the last entry of `helped_cost`
     last_reach: IterationResult | None = None
     non_finite_at: list[int] = dataclasses.field(default_factory=list)
@@ -121,7 +122,8 @@ class TaskRun:
         self.stuck = result.stuck
         if self.push is None:
             self.last_reach = result
-            if self.helped_cost and self.reach_iterations <= self.helped_until:
+            since_input = self.work_iterations > self.helped_from
+            if self.helped_cost and since_input and self.reach_iterations <= self.helped_until:
                 self.helped_cost[-1] = result.cost
 
     @property
@@ -155,6 +157,7 @@ class TaskRun:
         self.answered += 1
         self.asked_cost.append(self.last_reach.cost if self.last_reach else math.nan)
         self.helped_cost.append(math.nan)
+        self.helped_from = self.work_iterations
         self.helped_until = self.reach_iterations + LOOK_AHEAD
 
     def progress(self, now_ns: int) -> TaskProgress:

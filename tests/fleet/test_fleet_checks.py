@@ -4,7 +4,7 @@ import dataclasses
 import random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from identity_cases import altered, failing
 from random_fleets import CONFIGS, noisy_robots
@@ -16,6 +16,16 @@ from pgf_jax.metrics.identities import verify
 from pgf_jax.metrics.summary import summarise
 from pgf_jax.planning.types import Status
 
+# A check is broken off by an input, and gone on with after it.
+BROKEN_OFF = FleetConfig(
+    tasks=1,
+    window_s=4.0,
+    service_mean_s=0.0,
+    service_sd_s=0.0,
+    task_limit_s=20.0,
+    push_limit_s=1.0,
+    while_asking="plan",
+)
 CHANCES = st.sampled_from([None, 0.0, 0.3, 0.7, 1.0])  # None: it cannot miss
 
 
@@ -102,6 +112,7 @@ def test_only_a_first_check_runs_past_the_limit(config, seed, check_miss, grasp_
 
 @settings(max_examples=50, deadline=None)
 @given(config=CONFIGS, seed=st.integers(0, 1000))
+@example(config=BROKEN_OFF, seed=1)
 def test_what_cannot_miss_changes_nothing_but_what_is_counted(config, seed):
     """Real checks that all pass, and reaches that all grasp, leave every other event as it is."""
     usual, _ = simulate(config, seed, None, None)
