@@ -141,7 +141,7 @@ ARGUMENTS = {
     ),
     "mode": (
         ["collect", "both", "--scenes", 1, "--out", "x"],
-        "mode: expected one of autonomous, forks, human, got 'both'",
+        "mode: expected one of autonomous, forks, futures, human, got 'both'",
     ),
     "missing": (["collect", "human"], "options missing: --out (see"),
     "several missing": (["train"], "options missing: --data, --out (see"),

@@ -49,19 +49,21 @@ def check(planner: BatchPlanner, place: Place, candidates: Candidates) -> Corout
 def iterate(
     planner: BatchPlanner, search: Search, key_path: KeyPath, place: Place | None
 ) -> Coroutine:
-    """Do an iteration with all of its checks; returns the search after it.
+    """Do an iteration with all of its checks; returns the search after it, and how many checks.
 
     Without a place nothing is checked.
     """
     if place is None:
         (after,) = yield [Step(search, key_path)]
-        return after
+        return after, 0
     after, candidates = yield from _step(search, key_path)
+    checks = 0
     if candidates is None:
-        return after
+        return after, checks
     while candidates.next is not None:
         candidates = yield from check(planner, place, candidates)
-    return candidates.search(planner)
+        checks += 1
+    return candidates.search(planner), checks
 
 
 def _step(search: Search, key_path: KeyPath) -> Coroutine:

@@ -15,7 +15,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgf_jax.batching.requests import Execute, PredictGain, Request, Retreat, Step, robot_key_path
+from pgf_jax.batching.requests import (
+    Execute,
+    PredictGain,
+    PredictTimes,
+    Request,
+    Retreat,
+    Step,
+    robot_key_path,
+)
 from pgf_jax.physics.config import Physics, physics_of
 from pgf_jax.physics.engine import ENGINES, Engine
 from pgf_jax.physics.sized import SizedEngine
@@ -70,15 +78,17 @@ class PlannerService:
 
     def _compute(self, requests: Sequence[Request]) -> list[Any]:
         results: list[Any] = [None] * len(requests)
-        asked: dict[int, list[int]] = {}  # predictor -> who asked for its gain
+        asked: dict[int, list[int]] = {}  # predictor -> who asked for its prediction
         for i, request in enumerate(requests):
-            if isinstance(request, PredictGain):
+            if isinstance(request, PredictGain | PredictTimes):
                 asked.setdefault(id(request.predictor), []).append(i)
         for places in asked.values():
-            gains: list[Any] = [requests[i] for i in places]
-            states = np.stack([gain.state for gain in gains])
-            for i, value in zip(places, gains[0].predictor.gain(states), strict=True):
-                results[i] = float(value)
+            alike: list[Any] = [requests[i] for i in places]
+            states, predictor = np.stack([request.state for request in alike]), alike[0].predictor
+            times = isinstance(alike[0], PredictTimes)
+            found = predictor.survival(states) if times else predictor.gain(states)
+            for i, value in zip(places, found, strict=True):
+                results[i] = value if times else float(value)
         executions = [(i, r) for i, r in enumerate(requests) if isinstance(r, Execute)]
         executed = execute_all([(execute.world, execute.command) for _, execute in executions])
         for (i, _), result in zip(executions, executed, strict=True):

@@ -9,7 +9,7 @@ word by word. So a result depends on whose it is, and not on the batch in which 
 """
 
 from collections.abc import Callable, Generator, Hashable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -28,6 +28,15 @@ class GainPredictor(Protocol):
 
     def gain(self, states: np.ndarray) -> np.ndarray:
         """[B, S] states (`predictors.features`) -> [B]; nan where a state lacks a feature."""
+        ...
+
+
+@runtime_checkable
+class TimePredictor(Protocol):
+    """Predicts how long reaches still take."""
+
+    def survival(self, states: np.ndarray) -> np.ndarray:
+        """[B, S] states -> [B, 2, H], as in `fleet.TimeLeft`; nan where a state lacks a feature."""
         ...
 
 
@@ -68,6 +77,13 @@ class PredictGain(NamedTuple):
     state: np.ndarray  # [S], see `predictors.features`
 
 
+class PredictTimes(NamedTuple):
+    """Request for the time that a reach still takes; its result is [2, H]: alone, and helped."""
+
+    predictor: TimePredictor
+    state: np.ndarray  # [S], see `predictors.features`
+
+
 class Memoised(NamedTuple):
     """Memoised request: computed once, its result is shared by all callers."""
 
@@ -82,7 +98,7 @@ class External(NamedTuple):
     subscribe: Callable[[Callable[[Any], None]], None]  # is given what to call with the result
 
 
-Request = Step | Retreat | Execute | PredictGain | Memoised | External
+Request = Step | Retreat | Execute | PredictGain | PredictTimes | Memoised | External
 Coroutine = Generator[list[Request], list[Any], Any]
 
 

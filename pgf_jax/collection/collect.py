@@ -121,7 +121,7 @@ def _collect_sessions(
 
 
 def _summary(config: CollectConfig, frame: pl.DataFrame, scenes: int, seconds: float) -> Collected:
-    forks = config.mode == "forks"
+    forks = config.forks
     solved = pl.col("alone_solved") if forks else pl.col("feasible") & (pl.col("kind") == "reach")
     inputs = pl.col("input") == "push" if forks else pl.col("asked_before")
     iterations = pl.sum("alone_iterations", "helped_iterations") if forks else pl.len()

@@ -38,9 +38,10 @@ class CollectConfig:
 
     Attributes:
       mode: autonomous (nobody helps), human (input is given once in each run that lasts so long),
-        or forks (one state of each such run is carried on with input and without, for the true
-        gain).
-      out: folder of the data: autonomous/runs.parquet, human/runs.parquet or forks/forks.parquet.
+        forks (a state of each such run is carried on with input and without, for the true gain), or
+        futures (the same, until it is solved or the task's time is up).
+      out: folder of the data: autonomous/runs.parquet, human/runs.parquet, forks/forks.parquet or
+        futures/futures.parquet.
       scenes: how many scenes to sample; None: none, with --log.
       log: recorded sessions to take human runs from, instead of planning scenes: their folders, or
         event logs. They have their own settings, so that no others can be given.
@@ -77,18 +78,19 @@ class CollectConfig:
         ends an unsolved run after reach iteration 39; in human runs at least 10 reach iterations
         (the predictors' look-ahead) after the input, however long its push took to plan.
       ask_from: human: input comes after a reach iteration drawn evenly from ask_from..ask_to, of
-        which the third is the first with a full history; forks: a state is drawn from the unsolved
-        ones among these.
+        which the third is the first with a full history; forks and futures: states are drawn from
+        the unsolved ones among these.
       ask_to: the last of these reach iterations.
-      keys: forks: number of futures of each state, each under noise of its own, with input and
-        without.
+      keys: forks and futures: number of futures of each state, each under noise of its own, with
+        input and without.
       workers: cores of this computer that share the work with planar, processes with other engines;
         results do not depend on how many. None: all cores for planar, else 1.
       chunk: finished runs are written this many at a time: as many can be lost by an interruption.
       resume: go on with what is in the folder: finished runs are kept, the others are planned.
+      states: forks and futures: how many states of each scene, where it has as many.
     """
 
-    mode: tyro.conf.Positional[Literal["autonomous", "human", "forks"]]
+    mode: tyro.conf.Positional[Literal["autonomous", "human", "forks", "futures"]]
     out: Path
     scenes: Annotated[Count | None, tyro.conf.arg(aliases=["--count"])] = None
     log: tuple[Path, ...] = ()
@@ -117,11 +119,12 @@ class CollectConfig:
     cost_weights: tuple[str, ...] = ()
     physics_constants: tuple[str, ...] = ()
     world: WorldName = "solid"
+    states: Count = 1
 
     GROUPS = (  # of options, for the help
         ("scene", ("scenes", "classes", "seed", "log")),
         ("planning", (*PLANNER_OPTIONS, "task_limit")),
-        ("operator", ("operator", "ask_from", "ask_to", "keys")),
+        ("operator", ("operator", "ask_from", "ask_to", "keys", "states")),
         ("computing", ("workers", "chunk")),
         ("output", ("out", "resume")),
     )
@@ -148,8 +151,13 @@ class CollectConfig:
         if len(set(self.classes)) != len(self.classes):
             raise BadInput(f"classes: expected each at most once, got {' '.join(self.classes)}")
         # Forks are described by a full history.
-        check_int("ask_from", self.ask_from, 3 if self.mode == "forks" else 0)
+        check_int("ask_from", self.ask_from, 3 if self.forks else 0)
         check_int("ask_to", self.ask_to, self.ask_from)
+
+    @property
+    def forks(self) -> bool:
+        """Whether states are forked."""
+        return self.mode in ("forks", "futures")
 
     def _check_log(self) -> None:
         if self.mode != "human":

@@ -21,7 +21,7 @@ from pgf_jax.guidance.operators.registry import world_plugins
 from pgf_jax.plugins.registry import plugins_record
 from pgf_jax.provenance import environment
 from pgf_jax.settings import stored_settings
-from pgf_jax.tables.forks import read_forks, write_forks
+from pgf_jax.tables.forks import FORK, read_forks, read_futures, write_forks, write_futures
 from pgf_jax.tables.parquet import read_provenance
 from pgf_jax.tables.runs import RUN, Mode, read_runs, runs_path, write_runs
 
@@ -197,10 +197,11 @@ def _scenes_in(file: Path) -> set[int]:
 
 def _read_all(config: CollectConfig, files: list[Path]) -> pl.DataFrame | None:
     """All rows of the files; a part that was merged before an interruption counts once."""
-    read, row = (read_forks, "key") if config.mode == "forks" else (read_runs, "iteration")
+    read = {Mode.FORKS: read_forks, Mode.FUTURES: read_futures}.get(Mode(config.mode), read_runs)
+    row = [*RUN, "iteration"] if read is read_runs else [*FORK, "key"]
     frames = [read(file) for file in files]
-    return pl.concat(frames).unique([*RUN, row], keep="first") if frames else None
+    return pl.concat(frames).unique(row, keep="first") if frames else None
 
 
 def _writer(config: CollectConfig) -> Any:
-    return write_forks if config.mode == "forks" else write_runs
+    return {Mode.FORKS: write_forks, Mode.FUTURES: write_futures}.get(Mode(config.mode), write_runs)

@@ -1,22 +1,24 @@
-"""Forks of a robot's state: its future with help and without, computed (see `tables.forks`).
+"""Forks of robots' states: their futures with help and without, computed (see `tables.forks`).
 
-A scene gives one state: the robot plans alone, and of its unsolved reach iterations from `first` to
-`last` one is drawn by (seed, scene), so that states with long histories count like those with short
-ones. A scene that is solved before gives none.
+A scene gives one state, or a few: the robot plans alone, and of its unsolved reach iterations from
+`first` to `last` they are drawn by (seed, scene), so that states with long histories count like
+those with short ones. A scene that is solved before gives none.
 """
 
+import math
 import zlib
-from typing import Any
+from typing import Any, NamedTuple
 
 import polars as pl
 
-from pgf_jax.batching.places import iterate
+from pgf_jax.batching.places import Place, iterate
 from pgf_jax.batching.requests import (
     Coroutine,
     gather,
     robot_key_path,
     trial_key_path,
 )
+from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.guidance.operators.base import AnyOperator, ask_operator
 from pgf_jax.guidance.predictors.features import STATE, state_features
 from pgf_jax.guidance.trials import Trial, simulate_input
@@ -30,6 +32,8 @@ from pgf_jax.simulation.task_worlds import WorldSpec
 from pgf_jax.streams import stream
 from pgf_jax.tables.forks import FORK_SCHEMA
 
+_ROLLOUT_S = FleetConfig().rollout_time_s
+
 
 def fork(
     planner: BatchPlanner,
@@ -40,9 +44,11 @@ def fork(
     keys: int,
     first: int,
     last: int,
+    states: int = 1,
+    limit_s: float | None = None,
     world: WorldSpec | None = None,
 ) -> Coroutine:
-    """Plan a scene alone, and fork one of its states; returns a frame of `FORK_SCHEMA`, or None.
+    """Plan a scene alone, and fork its states; returns a frame of forks, or None.
 
     Args:
       planner: of the searches.
@@ -50,27 +56,62 @@ def fork(
       seed: of the noise.
       operator: gives the input, as the first in the task.
       keys: futures, each with help and without.
-      first, last: reach iterations after which the state may be taken.
+      first, last: reach iterations after which a state may be taken.
+      states: how many are taken, where there are as many.
+      limit_s: the task's limit, to which futures go on, s: the frame then has the columns of
+        futures; None: `LOOK_AHEAD` reach iterations.
       world: in which solutions are checked; None: the engine is believed.
     """
     search = planner.begin_reach(start_world(scene.positions), scene.goal, scene.shelf)
-    unsolved: list[Search] = []
-    place = None
+    limit = math.inf if limit_s is None else limit_s / _ROLLOUT_S
+    unsolved: list[_State] = []
+    place, spent = None, 0
     if world is not None:
         worlds = world.worlds(scene)
         place = worlds.to_act(worlds.start())
     for i in range(last + 1):
-        search = yield from iterate(planner, search, robot_key_path(seed, 0, 0, i)(0), place)
-        if planner.terminate(search):
+        search, checks = yield from iterate(
+            planner, search, robot_key_path(seed, 0, 0, i)(0), place
+        )
+        spent += (2 if i else 1) + checks
+        if planner.terminate(search) or spent >= limit:
             break
         if i >= first:
-            unsolved.append(search)
+            unsolved.append(_State(search, limit - spent))
     if not unsolved:
         return None
     draw = stream(seed, "fork-at", zlib.crc32(scene.name.encode()))
-    search = unsolved[int(draw.integers(len(unsolved)))]
-    done = int(search.iteration)
-    decision_key = (seed, 0, 0, done + 1)
+    number = min(states, len(unsolved))
+    drawn = [unsolved.pop(int(draw.integers(len(unsolved)))) for _ in range(number)]
+
+    def carried_on(state: _State) -> Coroutine:
+        return _carry_on(
+            planner, scene, seed, operator, state, keys, place, timed=limit_s is not None
+        )
+
+    frames = yield from gather([carried_on(state) for state in drawn])
+    return pl.concat(frames)
+
+
+class _State(NamedTuple):
+    search: Search
+    left: float  # of the task's time, in rollouts
+
+
+def _carry_on(
+    planner: BatchPlanner,
+    scene: Scene,
+    seed: int,
+    operator: AnyOperator,
+    state: _State,
+    keys: int,
+    place: Place | None,
+    *,
+    timed: bool,
+) -> Coroutine:
+    """The futures of one state; returns their frame."""
+    search = state.search
+    decision_key = (seed, 0, 0, int(search.iteration) + 1)
     push = yield from ask_operator(
         operator, View.of(search, place=place), search, planner, decision_key
     )
@@ -82,7 +123,9 @@ def fork(
                 search,
                 given,
                 trial_key_path(*decision_key, key),
-                reach_limit=LOOK_AHEAD,
+                reach_limit=math.inf if timed else LOOK_AHEAD,
+                rollout_limit=state.left,
+                keep=timed,
                 place=place,
             )
             for key in range(keys)
@@ -91,7 +134,14 @@ def fork(
     # "Go on" leaves the trajectory as it is: the future without help, key by key.
     trials = yield from gather(futures(None) + (futures(push) if push is not None else []))
     alone, helped = trials[:keys], trials[-keys:]
-    return _frame(scene, seed, search, push is not None, alone, helped)
+    frame = _frame(scene, seed, search, push is not None, alone, helped)
+    if not timed:
+        return frame
+    times = {"alone_s": alone, "helped_s": helped}
+    return frame.with_columns(
+        pl.Series(name, [_ROLLOUT_S * trial.rollouts for trial in trials])
+        for name, trials in times.items()
+    )
 
 
 def _frame(

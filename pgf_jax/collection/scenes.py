@@ -98,7 +98,7 @@ def _run_part(part: tuple[Dataset, Sequence[int]], on_end: Callable[[int], None]
             indices.clear()
             frames.clear()
 
-    compute = _forks if dataset.config.mode == "forks" else _runs
+    compute = _forks if dataset.config.forks else _runs
     try:
         for index, frame in compute(dataset.config, numbers):
             indices.append(index)
@@ -163,9 +163,11 @@ def _forks(config: CollectConfig, numbers: Sequence[int]) -> Iterator[Ended]:
                 config.seed + i,
                 operator,
                 keys=config.keys,
+                states=config.states,
                 first=config.ask_from,
                 last=config.ask_to,
                 world=world,
+                limit_s=config.task_limit if config.mode == "futures" else None,
             )
             scheduler.submit(coroutine, lambda frame, i=i: ended.append((i, frame)))
         running -= len(ended)

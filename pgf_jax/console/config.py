@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pgf_jax.errors import BadInput
 from pgf_jax.fleet.config import (
     CLOCK_OPTIONS,
+    INDEX_OPTIONS,
     MEANWHILE_OPTIONS,
     ClockSeconds,
     Gain,
@@ -32,7 +33,7 @@ from pgf_jax.settings import Bounds, Count, Seconds, Seed, check_choice, check_f
 from pgf_jax.sweeping.config import SampledClass, SweepConfig
 
 LOOPBACK = "127.0.0.1"
-_SERVICE = ("service_mean", "service_sd", *MEANWHILE_OPTIONS)
+_SERVICE = ("service_mean", "service_sd", *MEANWHILE_OPTIONS, *INDEX_OPTIONS)
 # Settings that a sweep does not have; a sweep has all others under the same name.
 _OWN = ("robots", "policy", "speed", "patience", "host", "port")
 
@@ -111,6 +112,9 @@ class ConsoleConfig:
         None: as its policy does.
       while_served: what a robot does until the operator's answer: wait, or plan on; None: as its
         policy does. A robot that is solved meanwhile withdraws its request.
+      reservation: index that a robot must exceed to be served by a policy that ranks by time, in
+        its unit; None: the policy's own.
+      failure_cost: what a task that is not solved costs such a policy beside the time, s.
       lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       out: folder of the session: its event log, written as it happens, and its tables at the end.
@@ -161,6 +165,8 @@ class ConsoleConfig:
     world: WorldName = "solid"
     while_asking: Meanwhile | None = None
     while_served: Meanwhile | None = None
+    reservation: Annotated[float, Bounds()] | None = None
+    failure_cost: Seconds = 0.0
 
     GROUPS = (  # of options, for the help
         ("fleet", ("robots", "policy", "tasks", "seed")),

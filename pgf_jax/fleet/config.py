@@ -17,6 +17,7 @@ CLOCK_OPTIONS = (
 )
 Meanwhile = Literal["wait", "plan"]
 MEANWHILE_OPTIONS = ("while_asking", "while_served")
+INDEX_OPTIONS = ("reservation", "failure_cost")
 Gain = Annotated[float, Bounds()]  # in units of cost
 
 
@@ -51,6 +52,9 @@ class FleetConfig:
       while_served: what it does until the operator's answer; likewise. Solved meanwhile, it
         withdraws its request. A push breaks its iteration off; a push that cannot be planned then
         gives back the search as it was.
+      reservation: index that a robot must exceed to be served, in the unit of a policy that ranks
+        by time; None: the policy's own.
+      failure_cost_s: what a task that is not solved costs such a policy beside the time, s.
     """
 
     robots: Count = 1
@@ -74,6 +78,8 @@ class FleetConfig:
     seed: Annotated[int, Bounds(0)] = 0
     while_asking: Meanwhile | None = None
     while_served: Meanwhile | None = None
+    reservation: Annotated[float, Bounds()] | None = None
+    failure_cost_s: Seconds = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -38,10 +38,13 @@ class OperatorPool:
         `switched`: the operator served another robot before. An operator's first service is no
         switch.
         """
-        operator = self._idle()[0]
-        switched = self._last[operator] not in (None, robot)
+        operator, switched = self._idle()[0], self.would_switch(robot)
         self._serving[operator] = self._last[operator] = robot
         return operator, switched
+
+    def would_switch(self, robot: int) -> bool:
+        """Whether the operator who would be assigned to `robot` now served another one before."""
+        return self._last[self._idle()[0]] not in (None, robot)
 
     def release(self, robot: int) -> int:
         """Free the operator who serves `robot`; returns that operator."""

@@ -198,6 +198,36 @@ class PolicySettings(Protocol):
         """A gain must exceed it to be bid."""
         ...
 
+    @property
+    def rollout_time_s(self) -> float:
+        """Simulated time of one rollout, s."""
+        ...
+
+    @property
+    def service_mean_s(self) -> float:
+        """Mean service time, s."""
+        ...
+
+    @property
+    def service_sd_s(self) -> float:
+        """Its standard deviation, s."""
+        ...
+
+    @property
+    def while_served(self) -> str | None:
+        """What a robot does while it is served; None: as its policy does."""
+        ...
+
+    @property
+    def reservation(self) -> float | None:
+        """Index that a robot must exceed, see `FleetConfig`."""
+        ...
+
+    @property
+    def failure_cost_s(self) -> float:
+        """What a task that is not solved costs, s; see `FleetConfig`."""
+        ...
+
 
 PolicyFactory = Callable[[PolicySettings], Policy]
 

@@ -241,7 +241,9 @@ class RequestHandlers:
     def _seen(self, run: TaskRun) -> RobotState:
         now_ns = self._state.now_ns
         assert run.last_reach is not None
-        return RobotState(run.progress(now_ns), run.last_reach, (now_ns - run.helped_ns) / 1e9)
+        switch_s = self._state.config.context_switch_s * self.operators.would_switch(run.robot)
+        unhelped_s = (now_ns - run.helped_ns) / 1e9
+        return RobotState(run.progress(now_ns), run.last_reach, unhelped_s, switch_s)
 
     # --- services -------------------------------------------------------------------------------
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import enum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from pgf_jax.planning.types import NoInput, Push
 
@@ -49,6 +49,18 @@ class Work:
     broken_off: int = 0
 
 
+class TimeLeft(NamedTuple):
+    """How long a reach will still take, as probabilities that it is not solved by then.
+
+    Attributes:
+      alone: [H] after 1, 2, ..., H more iterations without help.
+      helped: [H] the same from the operator's answer on; planning of the push counts.
+    """
+
+    alone: tuple[float, ...]
+    helped: tuple[float, ...]
+
+
 @dataclasses.dataclass(frozen=True)
 class IterationResult:
     """The outcome of an iteration, as far as the fleet needs it.
@@ -64,6 +76,8 @@ class IterationResult:
       non_finite: some rollout's cost was not finite.
       saturated: rollouts with a knot end at which every contact slot was in use, so that contacts
         may have been left out.
+      time_left: for policies that rank by time; None for the others, and while the history is too
+        short.
     """
 
     feasible: bool
@@ -73,6 +87,7 @@ class IterationResult:
     cost: float
     non_finite: bool = False
     saturated: int = 0
+    time_left: TimeLeft | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -30,6 +30,8 @@ class Trial:
       total: the whole cost of that trajectory.
       solved: whether that trajectory is feasible.
       iterations: all iterations, those of the push and iteration 0s included.
+      rollouts: the simulated time of the trial without executions, in rollouts: an iteration takes
+        two, one for the noisy ones and one for the winner's own; iteration 0 and a check take one.
       pushed: the push was found (False: dropped, or there was none).
       reach: the reach as the trial leaves it.
     """
@@ -38,6 +40,7 @@ class Trial:
     total: float
     solved: bool
     iterations: int
+    rollouts: int
     pushed: bool
     reach: Search = dataclasses.field(compare=False, repr=False)
 
@@ -49,15 +52,17 @@ def simulate_input(
     key_paths: KeyPaths,
     *,
     push_limit: int = PUSH_ITERATIONS,
-    reach_limit: int,
+    reach_limit: float,
     total_limit: int | None = None,
+    rollout_limit: float = math.inf,
+    keep: bool = False,
     place: Place | None = None,
 ) -> Coroutine:
     """Simulate one input, given to a reach as it stands; returns a `Trial`.
 
     The trial does what a robot does: a push is planned and executed, and reaching starts again. A
     push that is not found within its limit is dropped, and reaching starts again from the shelf as
-    it was.
+    it was, or goes on as it was.
 
     Args:
       planner: of the searches.
@@ -67,18 +72,30 @@ def simulate_input(
       push_limit: iterations of the push, without its nominal's.
       reach_limit: reach iterations, likewise: the look-ahead.
       total_limit: iterations of both kinds, likewise; None: no such limit.
+      rollout_limit: no iteration begins that would end later, in rollouts (see `Trial`).
+      keep: after a push that was dropped, go on with the search as it was.
       place: where the search stands in a world, in which solutions are checked and the push is
         executed; None: the engine is believed.
     """
-    steps = counted = 0
+    steps = counted = spent = 0
     found = False
     reach = planner.go_on(search)
     left = math.inf if total_limit is None else total_limit
+
+    def carry_on(current: Search, last: float) -> Coroutine:
+        """Iterate until it is solved, or no iteration is left."""
+        nonlocal steps, spent
+        while not planner.terminate(current) and int(current.iteration) < last:
+            takes = 1 if int(current.iteration) < 0 else 2
+            if spent + takes > rollout_limit:
+                break
+            current, checks = yield from iterate(planner, current, key_paths(steps), place)
+            steps, spent = steps + 1, spent + takes + checks
+        return current
+
     if push is not None:
         current = planner.begin_push(search.start, int(search.task.goal), push, search.shelf)
-        while not planner.terminate(current) and int(current.iteration) < min(push_limit, left):
-            current = yield from iterate(planner, current, key_paths(steps), place)
-            steps += 1
+        current = yield from carry_on(current, min(push_limit, left))
         counted = int(current.iteration)
         found = planner.terminate(current)
         world: World = search.start
@@ -87,11 +104,10 @@ def simulate_input(
             place, world = after, after.seen
         elif found:
             (world,) = yield [Retreat(current)]
-        reach = planner.begin_reach(world, int(search.task.goal), search.shelf)
+        if found or not keep:
+            reach = planner.begin_reach(world, int(search.task.goal), search.shelf)
     last = max(0, int(reach.iteration)) + min(reach_limit, left - counted)
-    while not planner.terminate(reach) and int(reach.iteration) < last:
-        reach = yield from iterate(planner, reach, key_paths(steps), place)
-        steps += 1
+    reach = yield from carry_on(reach, last)
     value = reach.value
     cost = float(np.sum(value.terms[:3]))
-    return Trial(cost, float(value.total), planner.terminate(reach), steps, found, reach)
+    return Trial(cost, float(value.total), planner.terminate(reach), steps, spent, found, reach)

@@ -21,7 +21,7 @@ from pgf_jax.plans.file import Plan
 from pgf_jax.sweeping.columns import TASK_SCHEMA, setting_texts
 from pgf_jax.sweeping.config import SweepConfig
 from pgf_jax.sweeping.summary import FleetsSummary, Paired, paired_frame
-from pgf_jax.tables.forks import FORK_COLUMNS
+from pgf_jax.tables.forks import FORK_COLUMNS, FUTURE_COLUMNS
 from pgf_jax.tables.results import MERGED_EVENT_SCHEMA, with_extra
 from pgf_jax.tables.runs import RUN_COLUMNS
 
@@ -42,8 +42,8 @@ given as objects. A session's folder has `events.jsonl` (a line of JSON for each
 does not apply), and at its end `events.parquet`, `tasks.parquet`, `summary.csv` and `session.json`.
 Tables of tasks and of events end with a column for each setting that decides on them, the same in
 all sweeps and sessions, so that they can be stacked; `pgf_jax.load_sweep` reads a sweep's.
-Collected data are `autonomous/runs.parquet`, `human/runs.parquet` and `forks/forks.parquet`, each
-beside a `collect.json` with its settings. The metadata of a Parquet file, key `pgf_jax`, say where
+Collected data are `autonomous/runs.parquet`, `human/runs.parquet`, `forks/forks.parquet` and
+`futures/futures.parquet`, each beside a `collect.json` with its settings. The metadata of a Parquet file, key `pgf_jax`, say where
 it comes from: settings, seed, versions, code. Checkpoints are in
 [`checkpoints/README.md`](../checkpoints/README.md). What does not apply is null.
 
@@ -116,6 +116,12 @@ def tables() -> list[Table]:
         ),
         Table("runs.parquet", "one row for each iteration of each run", _texts(RUN_COLUMNS)),
         Table("forks.parquet", "one row for each state and key", _texts(FORK_COLUMNS)),
+        Table(
+            "futures.parquet",
+            "one row for each state and key, with the columns of `forks.parquet`; the futures last "
+            "until the reach is solved or the task's time is up",
+            _texts({n: c for n, c in FUTURE_COLUMNS.items() if n not in FORK_COLUMNS}),
+        ),
     ]
 
 

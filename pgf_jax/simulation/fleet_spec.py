@@ -9,16 +9,14 @@ from typing import cast
 import numpy as np
 
 from pgf_jax.batching.planner_service import PlannerService
-from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.fleet import Fleet, FleetConfig
 from pgf_jax.guidance.operators.base import AnyOperator
 from pgf_jax.guidance.operators.registry import make_operator
-from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.physics.config import Physics
 from pgf_jax.planning.config import Planner
 from pgf_jax.scene import Scene, sample_scene
 from pgf_jax.scene.sampling import PRESETS, PUBLISHED_CLASSES, SceneClass, most_objects
-from pgf_jax.simulation.planned_robots import PlannedRobots
+from pgf_jax.simulation.planned_robots import AnyPredictor, PlannedRobots
 from pgf_jax.simulation.recorded_operator import Recording
 from pgf_jax.simulation.robot import Robot
 from pgf_jax.simulation.search_cache import SearchCache
@@ -108,7 +106,7 @@ class FleetSpec:
       lanes: L.
       scenes: of its tasks.
       operator: name of who gives the input.
-      predictor: of the numbers that its robots may bid; None: there is none.
+      predictor: of what its robots may bid, or are ranked by; None: there is none.
       recording: the operator of a recorded session, in place of the one named.
       world: in which solutions are checked and executed; None: the engine is believed.
     """
@@ -120,7 +118,7 @@ class FleetSpec:
     lanes: int
     scenes: TaskScenes
     operator: str
-    predictor: GainPredictor | TrueGain | None = None
+    predictor: AnyPredictor | None = None
     recording: Recording | None = None
     world: WorldSpec | None = None
 

@@ -13,12 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pgf_jax.batching import places, requests
-from pgf_jax.batching.requests import Coroutine, GainPredictor
+from pgf_jax.batching.requests import Coroutine, GainPredictor, TimePredictor
 from pgf_jax.fleet.robots import (
     CheckResult,
     IterationResult,
     ReachResult,
     Result,
+    TimeLeft,
     Work,
     WorkKind,
 )
@@ -31,6 +32,7 @@ from pgf_jax.planning.types import UNANSWERED, Push
 from pgf_jax.scene.sampling import class_of
 from pgf_jax.simulation.robot import Robot, Segment
 from pgf_jax.simulation.search_cache import Node, SearchCache
+from pgf_jax.simulation.true_time import TrueTime
 from pgf_jax.tables.run_log import RunLog
 
 
@@ -42,6 +44,16 @@ class _Asked(NamedTuple):
     dropped: int
 
 
+class _Foreseen(NamedTuple):
+    """What is predicted of a reach, or known."""
+
+    gain: float = math.nan
+    time_left: TimeLeft | None = None
+
+
+_NOTHING = _Foreseen()
+AnyPredictor = GainPredictor | TrueGain | TimePredictor | TrueTime
+
 # The result of work, and what changes in the robot when the work ends in simulated time.
 _Ended = tuple[Result, Callable[[], None]]
 
@@ -52,7 +64,7 @@ class PlannedRobots:
     Args:
       cache: of searches; shared by the fleets whose tasks, noise and operator are the same.
       robots, tasks: how many robots, and tasks of each.
-      predictor: of what robots bid; None: every gain is nan, and nobody bids one.
+      predictor: of what robots bid, or are ranked by; None: every gain is nan, and nobody bids one.
       on_task_end: called with (robot index, Robot) when a robot takes its next task, and by
         `finish` for the last ones.
       misses: see `fleet.Robots.misses`.
@@ -68,7 +80,7 @@ class PlannedRobots:
         *,
         robots: int = 1,
         tasks: int = 1,
-        predictor: GainPredictor | TrueGain | None = None,
+        predictor: AnyPredictor | None = None,
         on_task_end: Callable[[int, Robot], None] | None = None,
         misses: bool = False,
     ) -> None:
@@ -174,22 +186,14 @@ class PlannedRobots:
         return compute()
 
     def _iterate(self, r: Robot, asked: _Asked, work: Work) -> Coroutine:
-        before, state = asked.node.search, asked.node.state
-
-        def step() -> Coroutine:
-            path = requests.robot_key_path(self.cache.seed, work.robot, work.task, work.iteration)
-            wanted = r.worlds is not None
-            (result,) = yield [requests.Step(before, path(0), candidates=wanted)]
-            after, candidates = result if wanted else (result, None)
-            return Node(after, state, candidates)
-
-        (node,) = yield [asked.node.memoised("iteration", step)]
+        before = asked.node.search
+        (node,) = yield [self.cache.iterated(asked.node, work.robot, work.task, work.iteration)]
         after, to_check = node.search, node.candidates is not None
         # Nothing is bid for a candidate that is to be checked.
-        gain = math.nan
+        foreseen = _NOTHING
         if not to_check:
-            gain = yield from self._gain(r, asked._replace(node=node), work)
-        result = self._result(after, gain)
+            foreseen = yield from self._foresee(r, asked._replace(node=node), work)
+        result = self._result(after, foreseen)
 
         def end() -> None:
             r.node = node
@@ -205,21 +209,14 @@ class PlannedRobots:
 
     def _check(self, r: Robot, asked: _Asked, work: Work) -> Coroutine:
         planner = self.planner_service.planner
-        candidates, state = asked.node.candidates, asked.node.state
         place = r.checked_at(asked.node)
-        assert candidates is not None and place is not None, "nothing to check"
-
-        def check() -> Coroutine:
-            after = yield from places.check(planner, place, candidates)
-            more = after if after.next is not None else None
-            return Node(after.search(planner), state, more)
-
-        (node,) = yield [asked.node.memoised("check", check)]
+        assert place is not None, "nothing to check"
+        (node,) = yield [self.cache.checked(asked.node, place)]
         passed, more = planner.terminate(node.search), node.candidates is not None
-        gain = math.nan
+        foreseen = _NOTHING
         if not (passed or more):
-            gain = yield from self._gain(r, asked._replace(node=node), work)
-        result = self._result(node.search, gain)
+            foreseen = yield from self._foresee(r, asked._replace(node=node), work)
+        result = self._result(node.search, foreseen)
 
         def end() -> None:
             r.node = node
@@ -227,13 +224,14 @@ class PlannedRobots:
 
         return CheckResult(passed, more, result), end
 
-    def _result(self, after: Search, gain: float) -> IterationResult:
+    def _result(self, after: Search, foreseen: "_Foreseen") -> IterationResult:
         planner = self.planner_service.planner
         c_d, c_f, c_b = (float(x) for x in after.value.terms[:3])
         return IterationResult(
             feasible=planner.terminate(after),
             stuck=planner.is_stuck(after),
-            gain=gain,
+            gain=foreseen.gain,
+            time_left=foreseen.time_left,
             terms=(c_d, c_f, c_b),
             cost=float(after.value.total),
         )
@@ -304,26 +302,37 @@ class PlannedRobots:
             lambda: ask_operator(operator, view, search, planner, decision_key),
         )
 
-    def _gain(self, r: Robot, asked: _Asked, work: Work) -> Coroutine:
-        """The number that the robot may bid after an iteration or a check; nan where none is."""
+    def _foresee(self, r: Robot, asked: _Asked, work: Work) -> Coroutine:
+        """What a policy may rank by after an iteration or a check of a reach; a `_Foreseen`."""
         search, predictor = asked.node.search, self.predictor
         if predictor is None or search.task.pushing:
-            return math.nan
+            return _NOTHING
         decision_key, place = (*self._task_key(work), work.iteration + 1), r.checked_at(asked.node)
 
         def predict() -> Coroutine:
             if isinstance(predictor, TrueGain):
                 planner, request = self.planner_service.planner, self._input(r, asked, decision_key)
-                return (
-                    yield from predictor.simulate_gain(
-                        search, request, planner, decision_key, place
-                    )
+                gain = yield from predictor.simulate_gain(
+                    search, request, planner, decision_key, place
                 )
-            (gain,) = yield [requests.PredictGain(predictor, state_features(search))]
-            return gain
+                return _Foreseen(gain)
+            if isinstance(predictor, TrueTime):
+                request = self._input(r, asked, decision_key)
+                left = yield from predictor.simulate(
+                    self.cache, asked.node, request, decision_key, place
+                )
+                return _Foreseen(time_left=left)
+            state = state_features(search)
+            if isinstance(predictor, TimePredictor):
+                (times,) = yield [requests.PredictTimes(predictor, state)]
+                known = bool(np.isfinite(times).all())
+                return _Foreseen(time_left=TimeLeft(*map(tuple, times)) if known else None)
+            (gain,) = yield [requests.PredictGain(predictor, state)]
+            return _Foreseen(gain)
 
-        (gain,) = yield [asked.node.memoised(("gain", predictor, asked.inputs), predict)]
-        return gain
+        key = ("predicted", predictor, asked.inputs)
+        (foreseen,) = yield [asked.node.memoised(key, predict)]
+        return foreseen
 
     def segment(self, search: Search) -> Segment:
         """The best trajectory of a search, as a segment of a plan."""

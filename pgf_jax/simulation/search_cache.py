@@ -11,8 +11,10 @@ import dataclasses
 from collections.abc import Callable, Hashable
 from typing import Any
 
+from pgf_jax.batching import places
+from pgf_jax.batching.places import Place
 from pgf_jax.batching.planner_service import PlannerService
-from pgf_jax.batching.requests import Coroutine, Memoised
+from pgf_jax.batching.requests import Coroutine, Memoised, Step, robot_key_path
 from pgf_jax.guidance.operators.base import AnyOperator
 from pgf_jax.physics.worlds.world import State
 from pgf_jax.planning.candidates import Candidates
@@ -115,6 +117,31 @@ class SearchCache:
             root = Node(search, None if worlds is None else worlds.start())
             self._tasks[key] = CachedTask(scene, root, worlds)
         return self._tasks[key]
+
+    def iterated(self, node: Node, robot: int, task: int, iteration: int) -> Memoised:
+        """A request for the node after the robot's iteration of that number."""
+        before, state = node.search, node.state
+        wanted = self.worlds is not None
+
+        def iterate() -> Coroutine:
+            path = robot_key_path(self.seed, robot, task, iteration)
+            (result,) = yield [Step(before, path(0), candidates=wanted)]
+            after, candidates = result if wanted else (result, None)
+            return Node(after, state, candidates)
+
+        return node.memoised("iteration", iterate)
+
+    def checked(self, node: Node, place: Place) -> Memoised:
+        """A request for the node after the next check of a node with candidates."""
+        planner, candidates, state = self.planner_service.planner, node.candidates, node.state
+        assert candidates is not None, "nothing to check"
+
+        def check() -> Coroutine:
+            after = yield from places.check(planner, place, candidates)
+            more = after if after.next is not None else None
+            return Node(after.search(planner), state, more)
+
+        return node.memoised("check", check)
 
     def release(self, robot: int, task: int) -> None:
         """One fleet is done with a task, or will never begin it."""

@@ -9,6 +9,7 @@ from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.compute import parse_compute
 from pgf_jax.fleet.config import (
     CLOCK_OPTIONS,
+    INDEX_OPTIONS,
     MEANWHILE_OPTIONS,
     Cell,
     ClockSeconds,
@@ -34,7 +35,7 @@ from pgf_jax.planning.config import (
     planner_of,
 )
 from pgf_jax.scene import Scene, SceneClass
-from pgf_jax.settings import CommandLine, Count, Seconds, Seed, check_fields
+from pgf_jax.settings import Bounds, CommandLine, Count, Seconds, Seed, check_fields
 from pgf_jax.sweeping.presets import DEFAULT, PRESETS
 
 # all: the three of the published scenes in turn; every: all six
@@ -49,10 +50,11 @@ SCENES = "scenes.json"  # in the folder of the results: the scenes that were giv
 GAINLESS = {
     *("autonomous", "or-hitl", "or-hitl+plan", "or-hitl-window", "queue", "always", "random"),
     *("classifier", "oracle-gain"),
+    *("time-saved", "gain-rate", "urgency", "oracle-time"),
 }
 
 
-_SERVICE = ("service_mean", "service_sd", "context_switch", *MEANWHILE_OPTIONS)
+_SERVICE = ("service_mean", "service_sd", "context_switch", *MEANWHILE_OPTIONS, *INDEX_OPTIONS)
 _SIZES = ("robots", "policies", "tasks", "scene_class")
 
 
@@ -74,8 +76,10 @@ class SweepConfig:
         and refused while the operator is busy), or-hitl-window (when stuck, in windows), always
         (before planning), autonomous (never), random, queue (when stuck, in line), classifier (by
         predicted failure), oracle-gain (by the true gain; slow: it plans every robot's future
-        twice), pgf+plan and or-hitl+plan (which plan on meanwhile), or a registered one; None: pgf
-        and or-hitl.
+        twice), pgf+plan and or-hitl+plan (which plan on meanwhile), time-saved, gain-rate and
+        urgency (a free operator takes the robot that help saves most time, most time for each
+        second of service, or that is least likely to get on alone), oracle-time (time-saved by the
+        true times; slow), or a registered one; None: pgf and or-hitl.
       tasks: tasks of each robot; None: those of the preset.
       seed: seed of scenes, planning noise, service times and ties.
       seeds: several seeds, in place of seed: a fleet of each for every policy and fleet size, so
@@ -141,6 +145,9 @@ class SweepConfig:
         None: as its policy does.
       while_served: what a robot does until the operator's answer: wait, or plan on; None: as its
         policy does. A robot that is solved meanwhile withdraws its request.
+      reservation: index that a robot must exceed to be served by a policy that ranks by time, in
+        its unit; None: the policy's own.
+      failure_cost: what a task that is not solved costs such a policy beside the time, s.
       lanes: robots computed in one call of the engine (L); results are bit-equal for equal L only.
         None: 64 for planar, 1 for native, else 8.
       out: folder of the results.
@@ -203,6 +210,8 @@ class SweepConfig:
     world_error: tuple[str, ...] = ()
     while_asking: Meanwhile | None = None
     while_served: Meanwhile | None = None
+    reservation: Annotated[float, Bounds()] | None = None
+    failure_cost: Seconds = 0.0
 
     GROUPS = (  # of options, for the help
         ("fleet", ("preset", "robots", "policies", "tasks", "seed", "seeds")),
@@ -352,6 +361,8 @@ class SweepConfig:
             seed=cell.seed,
             while_asking=self.while_asking,
             while_served=self.while_served,
+            reservation=self.reservation,
+            failure_cost_s=self.failure_cost,
         )
 
     def planner(self) -> Planner:

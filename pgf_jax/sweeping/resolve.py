@@ -9,14 +9,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.files import sha256
-from pgf_jax.fleet.config import MEANWHILE_OPTIONS, Cell
+from pgf_jax.fleet.config import Cell, FleetConfig
 from pgf_jax.fleet.policies import POLICIES
 from pgf_jax.guidance.operators.registry import OPERATORS, check_operator, world_plugins
 from pgf_jax.guidance.predictors.checkpoint import PAIR, checkpoint_name, shipped_checkpoints
-from pgf_jax.guidance.predictors.registry import NETWORKS, PredictorSpec, predictor_spec
+from pgf_jax.guidance.predictors.registry import PredictorSpec, predictor_spec
 from pgf_jax.guidance.predictors.true_gain import TrueGain
 from pgf_jax.jax_setup import has_options
 from pgf_jax.physics.engine import ENGINES
@@ -28,8 +27,10 @@ from pgf_jax.scene import Scene, load_scenes
 from pgf_jax.scene.file import read_scenes
 from pgf_jax.settings import stored_settings
 from pgf_jax.simulation.fleet_spec import FleetSpec, TaskScenes
+from pgf_jax.simulation.planned_robots import AnyPredictor
 from pgf_jax.simulation.recorded_operator import LIVE, REPLAY, Recording
 from pgf_jax.simulation.task_worlds import WorldSpec
+from pgf_jax.simulation.true_time import TrueTime
 from pgf_jax.sweeping import cell_file
 from pgf_jax.sweeping.config import INPUTS, SweepConfig
 from pgf_jax.tables.event_log import read_log
@@ -37,7 +38,18 @@ from pgf_jax.tables.event_log import read_log
 FORMAT = 3  # of the results folder
 
 # Predictors that were loaded, and for each network: digest of its file, what it was trained on.
-Loaded = dict[PredictorSpec, tuple[GainPredictor, dict[str, dict[str, Any]]]]
+_Files = dict[str, dict[str, Any]]  # of networks by name
+Loaded = dict[PredictorSpec, tuple[AnyPredictor, _Files]]
+
+# Policies that need another predictor than that of gains, and its kind.
+_OWN_PREDICTORS = {
+    "classifier": "classifier",
+    **dict.fromkeys(("time-saved", "gain-rate", "urgency"), "time"),
+    **dict.fromkeys(("oracle-gain", "oracle-time"), "oracle"),
+}
+# Settings of fleets that came later, and their defaults: cells of those keep their identity.
+_FIELDS = [(field.name, field.default) for field in dataclasses.fields(FleetConfig)]
+_LATER = dict(_FIELDS[_FIELDS.index(("seed", 0)) + 1 :])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -120,12 +132,13 @@ def resolve(config: SweepConfig, loaded: Loaded | None = None, *, number: int = 
     scene_files = _scene_files(config)
     world = WorldSpec.of(config.world, scene_files)
     error = world_error_of(config.world_error, config.world)
-    predictor, classifier, files = _predictors(config, {} if loaded is None else loaded)
+    predictors, files = _predictors(config, {} if loaded is None else loaded)
 
     def spec(cell: Cell) -> CellSpec:
-        oracle, classify = cell.policy == "oracle-gain", cell.policy == "classifier"
+        kind = _OWN_PREDICTORS.get(cell.policy, "gain")
+        fleet_config = config.fleet(cell)
         fleet = FleetSpec(
-            config=config.fleet(cell),
+            config=fleet_config,
             engine=config.engine,
             physics=config.physics_values(),
             planner=config.planner(),
@@ -133,13 +146,13 @@ def resolve(config: SweepConfig, loaded: Loaded | None = None, *, number: int = 
             scenes=task_scenes(config, scene_files, seed=cell.seed),
             operator=config.operator,
             # Robots' numbers are logged under every policy, whether it bids them or not.
-            predictor=TrueGain() if oracle else classifier if classify else predictor,
+            predictor=_oracle(fleet_config) or predictors.get(kind),
             recording=recording,
             world=world and dataclasses.replace(world, error=error, seed=cell.seed),
         )
-        networks = [n for n in files if (n in NETWORKS["classifier"]) == classify and not oracle]
         plugins = _plugins(fleet)
-        identity = _identity(fleet, {name: files[name]["sha256"] for name in networks}, plugins)
+        used = {name: about["sha256"] for name, about in files.get(kind, {}).items()}
+        identity = _identity(fleet, used, plugins)
         return CellSpec(
             sweep=number,
             cell=cell,
@@ -154,7 +167,8 @@ def resolve(config: SweepConfig, loaded: Loaded | None = None, *, number: int = 
         )
 
     cells = tuple(map(spec, config.cells()))
-    return ResolvedSweep(config, cells, cells[0].fleet.scenes, files)
+    every = {name: about for part in files.values() for name, about in part.items()}
+    return ResolvedSweep(config, cells, cells[0].fleet.scenes, every)
 
 
 def task_scenes(
@@ -196,28 +210,39 @@ def _scene_files(config: SweepConfig) -> tuple[Scene, ...] | None:
     return files
 
 
+def _oracle(config: FleetConfig) -> TrueGain | TrueTime | None:
+    """What knows the future for the policies of oracles; None for the others."""
+    if config.policy == "oracle-gain":
+        return TrueGain()
+    if config.policy == "oracle-time":
+        keep = config.while_served != "wait"
+        return TrueTime(config.task_limit_s / config.rollout_time_s, keep)
+    return None
+
+
 def _predictors(
     config: SweepConfig, loaded: Loaded
-) -> tuple[GainPredictor | None, GainPredictor | None, dict[str, dict[str, Any]]]:
-    """The predictor of gains, the classifier of the policy of that name, and their files."""
-
-    def load(spec: PredictorSpec) -> tuple[GainPredictor, dict[str, dict[str, Any]]]:
-        if spec not in loaded:
-            loaded[spec] = _load(spec)
-        return loaded[spec]
-
+) -> tuple[dict[str, AnyPredictor], dict[str, _Files]]:
+    """The predictors that policies need, and their files, by kind (`_OWN_PREDICTORS`, or gain)."""
     spec = predictor_spec(config.predictor)
-    predictor, classifier, files = None, None, {}
+    specs = {}
     # Gains are logged under all policies alike, where there are networks to predict them.
     if config.predictor != "paper" or config.needs_gains() or _shipped():
-        predictor, files = load(spec)
-    if "classifier" in {cell.policy for cell in config.cells()}:
-        classifier, more = load(PredictorSpec("classifier", spec.folder, spec.part))
-        files = files | more
-    return predictor, classifier, files
+        specs["gain"] = spec
+    for cell in config.cells():
+        kind = _OWN_PREDICTORS.get(cell.policy)
+        if kind == "classifier":
+            specs[kind] = PredictorSpec(kind, spec.folder, spec.part)
+        elif kind == "time":
+            specs[kind] = PredictorSpec(kind, spec.folder)
+    for one in specs.values():
+        if one not in loaded:
+            loaded[one] = _load(one)
+    predictors = {kind: loaded[one][0] for kind, one in specs.items()}
+    return predictors, {kind: loaded[one][1] for kind, one in specs.items()}
 
 
-def _load(spec: PredictorSpec) -> tuple[GainPredictor, dict[str, dict[str, Any]]]:
+def _load(spec: PredictorSpec) -> tuple[AnyPredictor, _Files]:
     predictor, checkpoints = spec.load()
     return predictor, {
         checkpoint.network: {
@@ -272,7 +297,7 @@ def _identity(
         "fleet": {
             name: value
             for name, value in dataclasses.asdict(fleet.config).items()
-            if name not in MEANWHILE_OPTIONS or value is not None
+            if name not in _LATER or value != _LATER[name]
         },
         "engine": fleet.engine,
         "lanes": fleet.lanes,

@@ -6,6 +6,9 @@ input, both `LOOK_AHEAD` reach iterations long, under the same keys (common rand
 `FORK_COLUMNS` has the columns.
 
 The true gain of a state is the mean of `alone` - `helped` over its keys.
+
+`futures.parquet` holds forks whose futures go on until the reach is solved or the task's time is
+up, with the simulated time that they take (`FUTURE_COLUMNS`).
 """
 
 import dataclasses
@@ -43,7 +46,19 @@ FORK_COLUMNS: dict[str, tuple[pl.DataType, str]] = {
     **{f"state:{name}": (pl.Float64(), text) for name, text in STATE_MEANINGS.items()},
 }
 FORK_SCHEMA = {name: dtype for name, (dtype, _) in FORK_COLUMNS.items()}
-FORK = ("scene", "seed")  # identifies a state: a scene has one
+FUTURE_COLUMNS: dict[str, tuple[pl.DataType, str]] = {
+    **FORK_COLUMNS,
+    "alone_s": (
+        pl.Float64(),
+        "planning time of the future without help, s: until it is solved, or else time is up",
+    ),
+    "helped_s": (
+        pl.Float64(),
+        "planning time of the future with help, from the answer on, that of the push included, s",
+    ),
+}
+FUTURE_SCHEMA = {name: dtype for name, (dtype, _) in FUTURE_COLUMNS.items()}
+FORK = ("scene", "seed", "iteration")  # identifies a state
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -97,13 +112,37 @@ def read_forks(path: Path | str) -> pl.DataFrame:
     return check_forks(read_table(path, FORK_SCHEMA, "forks"), str(path))
 
 
+def write_futures(
+    path: Path | str, frames: Iterable[pl.DataFrame], about: Mapping[str, Any] | None = None
+) -> None:
+    """Write futures as one file, as `write_forks`."""
+    write_table(path, check_futures(pl.concat(frames), str(path)), about)
+
+
+def read_futures(path: Path | str) -> pl.DataFrame:
+    """Read and check a `futures.parquet`; BadInput as `read_forks`."""
+    return check_futures(read_table(path, FUTURE_SCHEMA, "futures"), str(path))
+
+
+def check_futures(frame: pl.DataFrame, name: str) -> pl.DataFrame:
+    """The futures, as `check_forks`."""
+    frame = _check(frame, FUTURE_SCHEMA, name)
+    if not (frame.select((pl.col("alone_s", "helped_s") >= 0).all()).row(0) == (True, True)):
+        raise BadInput(f"{name}: times must not be negative")
+    return frame
+
+
 def check_forks(frame: pl.DataFrame, name: str) -> pl.DataFrame:
     """The forks in canonical order and columns; BadInput with `name` if they are not valid."""
-    frame = check_columns(frame, FORK_SCHEMA, name).sort([*FORK, "key"], maintain_order=True)
+    return _check(frame, FORK_SCHEMA, name)
+
+
+def _check(frame: pl.DataFrame, schema: Mapping[str, Any], name: str) -> pl.DataFrame:
+    frame = check_columns(frame, schema, name).sort([*FORK, "key"], maintain_order=True)
     same = [
         pl.col(c).n_unique().over(*FORK) > 1
         for c in FORK_SCHEMA
-        if c.startswith("state:") or c in ("class", "iteration", "input")
+        if c.startswith("state:") or c in ("class", "input")
     ]
     rules = {
         "input must be push or go_on": ~pl.col("input").is_in(["push", "go_on"]),

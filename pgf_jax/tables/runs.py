@@ -49,11 +49,12 @@ class Mode(enum.StrEnum):
     AUTONOMOUS = "autonomous"
     HUMAN = "human"
     FORKS = "forks"
+    FUTURES = "futures"
 
 
 def runs_path(data_dir: Path | str, mode: Mode) -> Path:
-    """Path of the runs of this mode, or of the forks, in a folder of collected data."""
-    name = "forks.parquet" if mode == Mode.FORKS else "runs.parquet"
+    """Path of the runs of this mode, or of the forks or futures, in a folder of collected data."""
+    name = f"{mode}.parquet" if mode in (Mode.FORKS, Mode.FUTURES) else "runs.parquet"
     return Path(data_dir) / mode / name
 
 

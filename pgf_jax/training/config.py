@@ -55,7 +55,8 @@ class TrainCommand:
 
     Attributes:
       data: folder of the data, as `collect` writes it: autonomous/runs.parquet, human/runs.parquet
-        and, for the predictor best, forks/forks.parquet.
+        and, for the predictor best, forks/forks.parquet; for policies that rank by time,
+        futures/futures.parquet.
       out: folder for the checkpoints and the figure of their losses.
       config: how they are trained.
     """

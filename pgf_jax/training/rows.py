@@ -12,8 +12,8 @@ A row of a run is taken at the end of a reach iteration, which is when a robot b
 
 `autonomous_rows` takes a row at every reach iteration of runs without help. `human_rows` takes one
 at the iteration before each human input; a further input within the 10 iterations counts as a
-result of the first. `failure_rows` and `gain_rows` have other targets. `PUBLISHED` is the published
-code's rule in place of the paper's, for an ablation.
+result of the first. `failure_rows`, `gain_rows` and `hazard_rows` have other targets. `PUBLISHED`
+is the published code's rule in place of the paper's, for an ablation.
 """
 
 import dataclasses
@@ -24,7 +24,8 @@ import numpy as np
 import polars as pl
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance.predictors.features import FEATURES, HISTORY, STATE, history_features
+from pgf_jax.guidance.predictors.features import AHEAD, FEATURES, HISTORY, STATE, history_features
+from pgf_jax.guidance.predictors.survival import ahead
 from pgf_jax.planning.types import LOOK_AHEAD
 from pgf_jax.tables.forks import FORK, forks_of
 from pgf_jax.tables.runs import RUN, check_unhelped
@@ -145,6 +146,36 @@ def gain_rows(frame: pl.DataFrame) -> Rows:
         iteration=forks.iteration,
         non_finite=states - len(forks.gain),
         names=STATE,
+    )
+
+
+def hazard_rows(frame: pl.DataFrame, which: str, step_s: float = 3.0) -> Rows:
+    """Make a row for each iteration of each future: was it solved in it, having not been before?
+
+    An iteration is a step of the clock of `step_s`. A future that the task's limit cut off has a
+    row for each step that was whole, all with target 0.
+
+    Args:
+      frame: futures as `read_futures` returns them.
+      which: `alone` or `helped`.
+      step_s: time of an iteration, s.
+    """
+    states = frame.select(f"state:{name}" for name in STATE).to_numpy()
+    seconds, solved = frame[f"{which}_s"].to_numpy(), frame[f"{which}_solved"].to_numpy()
+    steps = np.where(solved, np.ceil(seconds / step_s), np.floor(seconds / step_s)).astype(int)
+    finite = np.isfinite(states).all(axis=1)
+    steps = np.where(finite, np.maximum(steps, solved), 0)
+    of = np.repeat(np.arange(len(frame)), steps)  # [M] row of the future
+    number = np.arange(len(of)) - np.repeat(np.cumsum(steps) - steps, steps) + 1  # [M] 1, 2, ...
+    last = number == steps[of]
+    return Rows(
+        features=np.concatenate([states[of], ahead(number)[:, None]], axis=1),
+        target=(last & solved[of]).astype(np.float64),
+        unsolved=~(last & solved[of]),
+        scene=frame["scene"].to_numpy()[of].astype(np.str_),
+        iteration=frame["iteration"].to_numpy()[of],
+        non_finite=int((~finite).sum()),
+        names=(*STATE, AHEAD),
     )
 
 

@@ -16,11 +16,18 @@ from pgf_jax.files import png, write_atomically
 from pgf_jax.guidance.predictors import checkpoint as ckpt
 from pgf_jax.jax_setup import configure_early
 from pgf_jax.settings import check_type
-from pgf_jax.tables.forks import read_forks
+from pgf_jax.tables.forks import read_forks, read_futures
 from pgf_jax.tables.runs import Mode, read_runs, runs_path
 from pgf_jax.training.config import TrainConfig
 from pgf_jax.training.fit import Trained, fit
-from pgf_jax.training.rows import Rows, autonomous_rows, failure_rows, gain_rows, human_rows
+from pgf_jax.training.rows import (
+    Rows,
+    autonomous_rows,
+    failure_rows,
+    gain_rows,
+    hazard_rows,
+    human_rows,
+)
 
 FIGURE = "fig3.png"
 
@@ -48,12 +55,23 @@ def _read_autonomous(path: Path) -> pl.DataFrame:
     return read_runs(path, mode=Mode.AUTONOMOUS)
 
 
+def _alone(frame: pl.DataFrame) -> Rows:
+    return hazard_rows(frame, "alone")
+
+
+def _helped(frame: pl.DataFrame) -> Rows:
+    return hazard_rows(frame, "helped")
+
+
 BEST = {"members": 15, "hidden": (32, 16)}
+HAZARD = {"members": 5, "hidden": (32, 16), "loss": "logistic", "batch": 250}
 RECIPES = {
     "phi_auto": Recipe(Mode.AUTONOMOUS, _read_autonomous, autonomous_rows),
     "phi_human": Recipe(Mode.HUMAN, read_runs, human_rows),
     "failure": Recipe(Mode.AUTONOMOUS, _read_autonomous, failure_rows, {"loss": "logistic"}),
     "gain": Recipe(Mode.FORKS, read_forks, gain_rows, BEST, optional=True),
+    "time_alone": Recipe(Mode.FUTURES, read_futures, _alone, HAZARD, optional=True),
+    "time_helped": Recipe(Mode.FUTURES, read_futures, _helped, HAZARD, optional=True),
 }
 
 
@@ -62,7 +80,7 @@ def train(data_dir: Path | str, out_dir: Path | str, config: TrainConfig) -> dic
 
     Args:
       data_dir: holds `autonomous/runs.parquet` and `human/runs.parquet`, and, for `gain`,
-        `forks/forks.parquet`.
+        `forks/forks.parquet`, and for the networks of time `futures/futures.parquet`.
       out_dir: gets a checkpoint of each network and `fig3.png` once all are trained.
       config: settings; a network's own settings (`RECIPES`) replace them.
 

@@ -1,6 +1,7 @@
 """Collected forks: what they hold, and that neither interruptions nor processes change them."""
 
 import dataclasses
+import math
 import os
 import signal
 import subprocess
@@ -27,7 +28,7 @@ from pgf_jax.guidance.view import View
 from pgf_jax.planning.search import start_world
 from pgf_jax.planning.types import LOOK_AHEAD, Push
 from pgf_jax.scene import sample_scene
-from pgf_jax.tables.forks import read_forks
+from pgf_jax.tables.forks import FUTURE_COLUMNS, read_forks, read_futures
 from pgf_jax.tables.runs import Mode, read_runs, runs_path
 
 pytestmark = pytest.mark.usefixtures("remembered_rollouts")
@@ -290,3 +291,36 @@ def test_a_killed_collection_resumes_to_the_same_bytes(tmp_path):
     whole = collect(dataclasses.replace(config, out=tmp_path / "whole"))
     assert path.read_bytes() == whole.path.read_bytes()
     assert np.isfinite(runs["c_d"].to_numpy()).any()
+
+
+def test_futures_go_on_until_it_is_solved_or_time_is_up(tmp_path):
+    """Of two states of a scene; 24 s are 16 rollouts, of which those before a state are spent."""
+    config = settings(
+        tmp_path, mode="futures", states=2, keys=1, task_limit=24.0, scenes=3, ask_to=5
+    )
+    frame = read_futures(collect(config).path)
+    assert frame.columns == [*FUTURE_COLUMNS] and len(frame) > 1
+    assert frame.group_by("scene").len()["len"].max() == 2
+    planner, ends = native().planner, set()
+    for row in frame.rows(named=True):
+        at = row["iteration"]
+        search = course(config, row["seed"])[at]
+        left = 16 - (1 + 2 * at)
+        push = Aside().decide(View.of(search))
+        key_paths = trial_key_path(row["seed"], 0, 0, at + 1, 0)
+        for name, given in (("alone", None), ("helped", push)):
+            coroutine = simulate_input(
+                planner,
+                search,
+                given,
+                key_paths,
+                reach_limit=math.inf,
+                rollout_limit=left,
+                keep=True,
+            )
+            trial = run(coroutine)
+            assert row[f"{name}_s"] == 1.5 * trial.rollouts <= 1.5 * left
+            assert row[f"{name}_solved"] == trial.solved
+            assert trial.solved or left - trial.rollouts < 2
+            ends.add(trial.solved)
+    assert ends == {True, False}

@@ -64,7 +64,7 @@ def simulated(monkeypatch):
 
     def simulate_input(planner, search, push, key_paths, **limits):
         total = costs["go_on"] if push is None else 0.6 - push.x
-        return Trial(total, total, True, 1, push is not None, search)
+        return Trial(total, total, True, 1, 2, push is not None, search)
         yield  # makes it a coroutine
 
     monkeypatch.setattr(heuristic, "simulate_input", simulate_input)

@@ -363,3 +363,30 @@ def test_what_the_clairvoyant_foresees_is_what_happens(seed, monkeypatch):
             rows = recorded_rows(seed, Says(push))
             assert (len(rows), rows[-1]["feasible"]) == (trial.iterations, True)
             assert best.iterations <= trial.iterations
+
+
+def test_a_rollout_limit_ends_it_before_the_iteration_that_would_pass_it():
+    """An iteration takes two rollouts: with 5, two iterations are done."""
+    planner, key_paths = native().planner, robot_key_path(*turn(2))
+    for limit, done in ((5, 2), (4, 2), (1, 0)):
+        trial = run(
+            simulate_input(
+                planner, unsolved(2), None, key_paths, reach_limit=9, rollout_limit=limit
+            )
+        )
+        assert (trial.iterations, trial.rollouts) == (done, 2 * done)
+
+
+def test_a_push_that_is_not_found_gives_the_search_back():
+    search, key_paths = unsolved(2), robot_key_path(*turn(2))
+    push, planner = HOPELESS[2], native().planner
+    trial = run(
+        simulate_input(planner, search, push, key_paths, push_limit=1, reach_limit=0, keep=True)
+    )
+    assert not trial.pushed and trial.iterations == 2 and trial.rollouts == 3
+    assert np.array_equal(trial.reach.controls, search.controls)
+    assert int(trial.reach.iteration) == int(search.iteration) and trial.reach.stuck_count == 0
+    again = run(
+        simulate_input(planner, search, push, key_paths, push_limit=1, reach_limit=0, keep=False)
+    )
+    assert int(again.reach.iteration) == 0 and again.rollouts == 4  # a new nominal

@@ -1,7 +1,7 @@
 """Checkpoint files of the predictors: one msgpack file a network, checked when it is read.
 
-`phi_auto.msgpack`, `phi_human.msgpack`, `gain.msgpack` and `failure.msgpack` (flax.serialization's
-msgpack, no pickle anywhere) hold
+`phi_auto.msgpack`, `phi_human.msgpack`, `gain.msgpack`, `failure.msgpack`, `time_alone.msgpack` and
+`time_helped.msgpack` (flax.serialization's msgpack, no pickle anywhere) hold
 
     {"version": 2, "sha256": hex digest of payload, "payload": bytes}
 
@@ -29,12 +29,12 @@ from flax import serialization
 
 from pgf_jax.errors import BadInput
 from pgf_jax.files import MIB, read_file, write_atomically
-from pgf_jax.guidance.predictors.features import STATE
+from pgf_jax.guidance.predictors.features import AHEAD, STATE
 from pgf_jax.guidance.predictors.network import Predictor
 
 VERSION = 2
 PAIR = ("phi_auto", "phi_human")  # the paper's
-NETWORKS = (*PAIR, "gain", "failure")
+NETWORKS = (*PAIR, "gain", "failure", "time_alone", "time_helped")
 _WHAT = "a predictor checkpoint (.msgpack)"
 _LARGEST = 64 * MIB  # of a file; the shipped ones take 0.1 MiB
 _FIELDS = {
@@ -191,8 +191,8 @@ def _from_content(content: dict[str, Any], name: str) -> Checkpoint:
     features = content["features"]
     # Check that names are text first: other values may not be hashable.
     named = all(type(feature) is str for feature in features)
-    if not named or not features or not set(features) <= set(STATE):
-        raise BadInput(f"{name}: features are not all among {', '.join(STATE)}")
+    if not named or not features or not set(features) <= {*STATE, AHEAD}:
+        raise BadInput(f"{name}: features are not all among {', '.join((*STATE, AHEAD))}")
     if len(set(features)) != len(features):
         raise BadInput(f"{name}: features are named twice")
     hidden = content["hidden"]

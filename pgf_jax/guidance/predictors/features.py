@@ -54,6 +54,8 @@ STATE_MEANINGS = {
     "neighbours": "objects within 0.09 m of the goal",
     "wall_side": "of these, the ones between the goal and the nearer side wall",
 }
+# An input that is no part of a state: how far ahead a prediction looks.
+AHEAD = "ahead"  # log2 of the number of the iteration from now on, 1 for the next one
 FEATURES = tuple(STATE_MEANINGS)[: 1 + 3 * HISTORY]
 STATE = tuple(STATE_MEANINGS)
 

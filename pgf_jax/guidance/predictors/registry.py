@@ -4,21 +4,28 @@ import dataclasses
 from collections.abc import Mapping
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
-from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.errors import BadInput, did_you_mean
 from pgf_jax.files import is_folder
 from pgf_jax.guidance.predictors.checkpoint import Checkpoint, load_network, shipped_checkpoints
 from pgf_jax.guidance.predictors.network import CostDifference, FailureClassifier, GainNetwork
+from pgf_jax.guidance.predictors.survival import TimeToSolution
 
-_MAKE = {"paper": CostDifference, "best": GainNetwork, "classifier": FailureClassifier}
+_MAKE = {
+    "paper": CostDifference,
+    "best": GainNetwork,
+    "classifier": FailureClassifier,
+    "time": TimeToSolution,
+}
 NETWORKS: Mapping[str, tuple[str, ...]] = {
     "paper": ("phi_auto", "phi_human"),
     "best": ("gain",),
     "classifier": ("failure",),  # for the policy of that name: a probability, not a gain
+    "time": ("time_alone", "time_helped"),  # for the policies that rank by time
 }
 # Names of shipped predictors: which one, and the folder of its checkpoints in theirs.
 _SHIPPED = {
@@ -52,8 +59,8 @@ class PredictorSpec:
         shipped = shipped_checkpoints()
         return shipped / self.part if self.part else shipped
 
-    def load(self) -> tuple[GainPredictor, tuple[Checkpoint, ...]]:
-        """Load the predictor; returns it and the checkpoints that it is made of.
+    def load(self) -> tuple[Any, tuple[Checkpoint, ...]]:
+        """Load the predictor (of gains, or of times); returns it and its checkpoints.
 
         Raises:
           BadInput: one line that names the folder or the file.

@@ -1,0 +1,373 @@
+"""Makes the predictors of time: collects futures, trains, judges, and writes all files.
+
+They are judged on held-out scenes.
+
+    python experiments/train_times.py [--scale 0.2] [--data DIR] [--out DIR]
+
+Data that are already in `--data` are kept, and an interrupted collection is continued. All figures
+of `checkpoints/TIMES.md` come from this script. Intervals are 95 %, by scenes drawn again.
+"""
+
+import dataclasses
+import hashlib
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import tyro
+from matplotlib.figure import Figure
+from predictor_data import EVERY
+from predictor_evaluation import Estimate, bootstrap
+
+from pgf_jax import configure
+from pgf_jax.files import png, write_atomically
+from pgf_jax.fleet.config import FleetConfig
+from pgf_jax.guidance.predictors import checkpoint as ckpt
+from pgf_jax.guidance.predictors.features import STATE
+from pgf_jax.guidance.predictors.registry import predictor_spec
+from pgf_jax.guidance.predictors.survival import HORIZON, TimeToSolution
+from pgf_jax.scene import PRESETS
+from pgf_jax.streams import stream
+from pgf_jax.tables.forks import read_futures
+from pgf_jax.tables.runs import Mode, runs_path
+from pgf_jax.training import train as training
+from pgf_jax.training.config import TrainConfig
+from pgf_jax.training.fit import Trained
+
+NETWORKS = ("time_alone", "time_helped")
+# (folder, scenes at full scale, seed of the first scene, futures of each state, states of each)
+COLLECTIONS = (("train", 6000, 0, 1, 2), ("test", 1200, 1_000_000, 6, 1))
+STEP_S = 2 * FleetConfig().rollout_time_s  # of an iteration
+SERVICE_S = FleetConfig().service_mean_s
+WITHIN = 10  # iterations: of the probabilities that are judged
+WINDOW, WINDOWS = 8, 4000
+TENTHS = 10
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Options of the script."""
+
+    scale: float = 0.2  # of the numbers of scenes
+    data: Path = Path("data/times")
+    out: Path = Path("checkpoints")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Futures:
+    """Held-out futures: F states under K keys each.
+
+    Attributes:
+      scene, scene_class: [F].
+      states: [F, S].
+      seconds: which -> [F, K] until it was solved, or cut off, s.
+      solved: which -> [F, K].
+    """
+
+    scene: np.ndarray
+    scene_class: np.ndarray
+    states: np.ndarray
+    seconds: dict[str, np.ndarray]
+    solved: dict[str, np.ndarray]
+
+    @property
+    def saved(self) -> np.ndarray:
+        """[F] true time that help saves where the robot plans on, services of `SERVICE_S`, s.
+
+        By all pairs of a future alone and one with help; up to the task's limit.
+        """
+        alone, helped = self.seconds["alone"][:, :, None], self.seconds["helped"][:, None, :]
+        limit = alone.max(axis=(1, 2), keepdims=True)
+        with_help = np.minimum(SERVICE_S + helped, np.maximum(limit, SERVICE_S))
+        return np.where(alone > SERVICE_S, alone - with_help, 0.0).mean(axis=(1, 2))
+
+
+def collect(config: Config) -> None:
+    for part, scenes, seed, keys, states in COLLECTIONS:
+        number = max(30, round(scenes * config.scale))
+        command = ["collect", "futures", "--scenes", str(number), "--seed", str(seed), *EVERY]
+        command += ["--keys", str(keys), "--states", str(states)]
+        command += ["--out", str(config.data / part), "--resume"]
+        print("pgf-jax", *command, flush=True)
+        subprocess.run([sys.executable, "-m", "pgf_jax", *command], check=True)
+
+
+def futures_of(frame: pl.DataFrame) -> Futures:
+    """The arrays of a table of futures, without states that lack a feature."""
+    first = frame.filter(pl.col("key") == 0)
+    states = first.select(f"state:{name}" for name in STATE).to_numpy()
+    kept = np.isfinite(states).all(axis=1)
+
+    def by_key(column: str) -> np.ndarray:
+        return frame[column].to_numpy().reshape(len(first), -1)[kept]
+
+    return Futures(
+        scene=first["scene"].to_numpy()[kept],
+        scene_class=first["class"].to_numpy()[kept],
+        states=states[kept],
+        seconds={which: by_key(f"{which}_s") for which in ("alone", "helped")},
+        solved={which: by_key(f"{which}_solved") for which in ("alone", "helped")},
+    )
+
+
+def concordance(predicted: np.ndarray, seconds: np.ndarray, solved: np.ndarray) -> float:
+    """Harrell's C: of pairs of states, how often the longer prediction takes longer.
+
+    Args:
+      predicted: [F] times.
+      seconds, solved: [F, K] what came. Pairs under one key count whose order is known: the
+        shorter one was solved. Equal predictions count half.
+    """
+    right = known = 0.0
+    for time, done in zip(seconds.T, solved.T, strict=True):
+        # A future that was cut off takes longer than one that was solved at that time.
+        later = (time[None, :] > time[:, None]) | ((time[None, :] == time[:, None]) & ~done[None])
+        pairs = done[:, None] & later
+        known += pairs.sum()
+        right += (pairs & (predicted[None, :] > predicted[:, None])).sum()
+        right += 0.5 * (pairs & (predicted[None, :] == predicted[:, None])).sum()
+    return float(right / known) if known else float("nan")
+
+
+def calibration(
+    predicted: np.ndarray, happened: np.ndarray, scene: np.ndarray
+) -> list[tuple[float, Estimate]]:
+    """Mean predicted probability, and how often it happened, of tenths of the states."""
+    out = []
+    for part in np.array_split(np.argsort(predicted, kind="stable"), TENTHS):
+        seen = bootstrap(lambda i, part=part: float(happened[part][i].mean()), scene[part], 300)
+        out.append((float(predicted[part].mean()), seen))
+    return out
+
+
+def regret(bid: np.ndarray, saved: np.ndarray, states: np.ndarray, seed: int = 0) -> float:
+    """Mean time lost by serving the highest bid of 8 random states, s, against the best one."""
+    draw = stream(seed, "regret", len(states))
+    count = min(WINDOW, len(np.unique(states)))
+    robots = states[np.argsort(draw.random((WINDOWS, len(states))), axis=1)[:, :count]]
+    luck = draw.random((WINDOWS, len(saved)))[0]
+    chosen = np.array([row[np.lexsort((luck[row], bid[row]))[-1]] for row in robots])
+    return float((saved[robots].max(axis=1) - saved[chosen]).mean())
+
+
+def regrets(bids: dict[str, np.ndarray], saved: np.ndarray) -> dict[str, tuple[float, Estimate]]:
+    """Of each kind of bid: the regret, s, and its share of that of chance."""
+    every = np.arange(len(saved))
+    chance = stream(1, "chance").random(len(saved))
+    draws = [stream(2, "states", r).integers(len(saved), size=len(saved)) for r in range(1, 101)]
+
+    def share(bid: np.ndarray, states: np.ndarray, seed: int) -> float:
+        return regret(bid, saved, states, seed) / regret(chance, saved, states, seed)
+
+    out = {}
+    for name, bid in bids.items():
+        drawn = [share(bid, states, r) for r, states in enumerate(draws, 1)]
+        low, high = np.quantile(drawn, (0.025, 0.975))
+        out[name] = regret(bid, saved, every), Estimate(share(bid, every, 0), low, high)
+    return out
+
+
+def restricted_mean(survival: np.ndarray) -> np.ndarray:
+    """[F, H] -> [F] mean time up to H iterations, s."""
+    return STEP_S * (1 + survival[:, :-1].sum(axis=1))
+
+
+def time_saved(alone: np.ndarray, helped: np.ndarray, remaining_s: np.ndarray) -> np.ndarray:
+    """[F] what `time-saved` would bid: by that policy itself, with services of `SERVICE_S`."""
+    from pgf_jax.fleet.index import RobotState
+    from pgf_jax.fleet.policies import TaskProgress, make_policy
+    from pgf_jax.fleet.robots import TimeLeft
+    from pgf_jax.fleet.stub import outcome
+
+    config = FleetConfig(policy="time-saved", service_sd_s=0.0, reservation=-1e9)
+    robots = [
+        RobotState(
+            TaskProgress(i, 0, 5, 0, float(remaining_s[i])),
+            dataclasses.replace(outcome(), time_left=TimeLeft(tuple(alone[i]), tuple(helped[i]))),
+            0.0,
+        )
+        for i in range(len(alone))
+    ]
+    policy = make_policy(config)
+    return np.array(policy.index(robots))  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def judge(futures: Futures, predictor: TimeToSolution) -> dict:
+    """All figures, fit for JSON."""
+    survival = predictor.survival(futures.states)  # [F, 2, H]
+    content: dict = {"states": len(futures.scene)}
+    for i, which in enumerate(("alone", "helped")):
+        seconds, solved = futures.seconds[which], futures.solved[which]
+        mean = restricted_mean(survival[:, i])
+        by_class = {}
+        for name in (*PRESETS, "every"):
+            part = np.flatnonzero((futures.scene_class == name) | (name == "every"))
+
+            def figure(index: np.ndarray, part=part, mean=mean, seconds=seconds, solved=solved):
+                at = part[index]
+                return concordance(mean[at], seconds[at], solved[at])
+
+            by_class[name] = (len(part), bootstrap(figure, futures.scene[part], 300))
+        # Known of all: whoever was cut off before has not been solved by then.
+        seen = solved & (np.ceil(seconds / STEP_S) <= WITHIN)
+        known = (solved | (np.floor(seconds / STEP_S) >= WITHIN)).all(axis=1)
+        predicted, happened = 1 - survival[known, i, WITHIN - 1], seen[known].mean(axis=1)
+        brier = ((predicted[:, None] - seen[known]) ** 2).mean()
+        base = seen[known].mean()
+        content[which] = {
+            "concordance": {n: (k, dataclasses.asdict(c)) for n, (k, c) in by_class.items()},
+            "calibration": [
+                (p, dataclasses.asdict(s))
+                for p, s in calibration(predicted, happened, futures.scene[known])
+            ],
+            "brier": float(brier),
+            "brier_of_the_mean": float(base * (1 - base)),
+        }
+    remaining = futures.seconds["alone"].max(axis=1)
+    best, _ = predictor_spec("best").load()
+    bids = {
+        "time-saved": time_saved(survival[:, 0], survival[:, 1], remaining),
+        "best": best.gain(futures.states),
+        "time left alone": restricted_mean(survival[:, 0]),
+    }
+    content["regret"] = {
+        name: (value, dataclasses.asdict(share))
+        for name, (value, share) in regrets(bids, futures.saved).items()
+    }
+    content["saved"] = float(futures.saved.mean())
+    return content
+
+
+def draw(content: dict) -> bytes:
+    """The reliability diagram, as a PNG."""
+    figure = Figure(figsize=(8, 3.8), layout="constrained")
+    for axes, which in zip(figure.subplots(1, 2), ("alone", "helped"), strict=True):
+        rows = content[which]["calibration"]
+        p = [predicted for predicted, _ in rows]
+        seen = [estimate["value"] for _, estimate in rows]
+        ends = [[e[end] for _, e in rows] for end in ("low", "high")]
+        axes.plot([0, 1], [0, 1], color="0.7")
+        axes.vlines(p, *ends, color="C0")
+        axes.plot(p, seen, "o", color="C0")
+        axes.set(title=which, xlabel=f"predicted: solved within {WITHIN} iterations", ylabel="seen")
+    return png(figure)
+
+
+def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [headings, ["---"] * len(headings), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _estimate(e: dict, digits: int = 2) -> str:
+    return f"{e['value']:.{digits}f} ({e['low']:.{digits}f}..{e['high']:.{digits}f})"
+
+
+def readme(content: dict, files: Sequence[str], scale: float) -> str:
+    """The text of TIMES.md."""
+    alone, helped = content["alone"], content["helped"]
+    percent: Callable[[float], str] = lambda p: f"{100 * p:.0f} %"  # noqa: E731
+    return f"""# Predictors of time
+
+The networks of the policies `time-saved`, `gain-rate` and `urgency`: how long a reach will still
+take, alone and from an operator's answer on. Written, with all figures (`times.json`), by
+
+    python experiments/train_times.py --scale {scale:g}
+
+{_table(("file", "size", "sha256"), [line.strip("| ").split(" | ") for line in files])}
+
+They are discrete-time survival models: the network gives the chance that the reach is solved in the
+iteration that is k from now, if it was not before. Trained on {content["train_states"]} states of
+{content["train_scenes"]} scenes of all six classes in turn, each carried on to its end, or to the
+task's limit of 180 s, once alone and once with the heuristic operator's input. Judged on
+{content["states"]} states of other scenes, each with 6 futures of both kinds. Solutions were
+checked in the solid world.
+
+Harrell's concordance of the mean time to solution, 95 % by scenes drawn again:
+
+{
+        _table(
+            ("class", "states", "alone", "helped"),
+            [
+                (
+                    name,
+                    str(alone["concordance"][name][0]),
+                    _estimate(alone["concordance"][name][1]),
+                    _estimate(helped["concordance"][name][1]),
+                )
+                for name in alone["concordance"]
+            ],
+        )
+    }
+
+Solved within {WITHIN} iterations (30 s), predicted and seen, by tenths of the states
+([figure](times.png)). Brier score alone {alone["brier"]:.3f} (of the mean
+{alone["brier_of_the_mean"]:.3f}), helped {helped["brier"]:.3f} ({helped["brier_of_the_mean"]:.3f}).
+
+{
+        _table(
+            ("tenth", "alone: predicted", "seen", "helped: predicted", "seen"),
+            [
+                (str(i + 1), percent(a[0]), _percents(a[1]), percent(h[0]), _percents(h[1]))
+                for i, (a, h) in enumerate(
+                    zip(alone["calibration"], helped["calibration"], strict=True)
+                )
+            ],
+        )
+    }
+
+Regret of serving the highest bid among {WINDOW} states: time that would have been saved more by the
+best choice, with services of {SERVICE_S:g} s beside which the robot plans on. Help saves
+{content["saved"]:.1f} s in the mean.
+
+{
+        _table(
+            ("bids by", "regret, s", "as a share of chance's"),
+            [
+                (name, f"{value:.1f}", _estimate(share))
+                for name, (value, share) in content["regret"].items()
+            ],
+        )
+    }
+"""
+
+
+def _percents(e: dict) -> str:
+    return f"{100 * e['value']:.0f} % ({100 * e['low']:.0f}..{100 * e['high']:.0f})"
+
+
+def main(config: Config) -> None:
+    """Collect, train, judge, write and print."""
+    configure()
+    collect(config)
+    path = runs_path(config.data / "train", Mode.FUTURES)
+    frame = read_futures(path)
+    done: dict[str, Trained] = {}
+    files = []
+    for network in NETWORKS:
+        rows = training.RECIPES[network].rows(frame)
+        done[network] = training.fit_network(network, rows, TrainConfig(seed=0))
+        about = training.report_of(done[network], rows)
+        about["data_sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+        training.save(config.out, network, done[network], about, TrainConfig())
+        file = config.out / ckpt.checkpoint_name(network)
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        files.append(f"| `{file.name}` | {file.stat().st_size / 1024:.0f} KiB | {digest} |")
+        print(network, {k: v for k, v in about.items() if k != "data_sha256"}, flush=True)
+    held_out = futures_of(read_futures(runs_path(config.data / "test", Mode.FUTURES)))
+    content = judge(held_out, TimeToSolution(*(done[name].predictor for name in NETWORKS)))
+    content |= {"scale": config.scale, "horizon": HORIZON}
+    content |= {"train_states": frame.select("scene", "seed", "iteration").n_unique()}
+    content |= {"train_scenes": frame["scene"].n_unique()}
+    write_atomically(config.out / "times.json", (json.dumps(content, indent=1) + "\n").encode())
+    write_atomically(config.out / "times.png", draw(content))
+    text = readme(content, files, config.scale)
+    write_atomically(config.out / "TIMES.md", text.encode())
+    print(text)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))
