@@ -43,8 +43,8 @@ does not apply), and at its end `events.parquet`, `tasks.parquet`, `summary.csv`
 Tables of tasks and of events end with a column for each setting that decides on them, the same in
 all sweeps and sessions, so that they can be stacked; `pgf_jax.load_sweep` reads a sweep's.
 Collected data are `autonomous/runs.parquet`, `human/runs.parquet`, `forks/forks.parquet` and
-`futures/futures.parquet`, each beside a `collect.json` with its settings. The metadata of a Parquet file, key `pgf_jax`, say where
-it comes from: settings, seed, versions, code. Checkpoints are in
+`futures/futures.parquet`, each beside a `collect.json` with its settings. The metadata of a Parquet
+file, key `pgf_jax`, say where it comes from: settings, seed, versions, code. Checkpoints are in
 [`checkpoints/README.md`](../checkpoints/README.md). What does not apply is null.
 
 Some columns, and events of kind `check`, are there only where a fleet's final checks are real
