@@ -24,8 +24,14 @@ import numpy as np
 import polars as pl
 
 from pgf_jax.errors import BadInput
-from pgf_jax.guidance.predictors.features import AHEAD, FEATURES, HISTORY, STATE, history_features
-from pgf_jax.guidance.predictors.survival import ahead
+from pgf_jax.guidance.predictors.features import (
+    AHEAD,
+    FEATURES,
+    HISTORY,
+    STATE,
+    ahead,
+    history_features,
+)
 from pgf_jax.planning.types import LOOK_AHEAD
 from pgf_jax.tables.forks import FORK, forks_of
 from pgf_jax.tables.runs import RUN, check_unhelped

@@ -13,7 +13,7 @@ import polars as pl
 from pgf_jax.fleet.policies import AskWhenStuck, Discipline, register_policy
 from pgf_jax.guidance.operators.registry import register_operator
 from pgf_jax.guidance.predictors import checkpoint
-from pgf_jax.guidance.predictors.features import FEATURES
+from pgf_jax.guidance.predictors.features import AHEAD, FEATURES
 from pgf_jax.guidance.predictors.network import combine, init
 from pgf_jax.physics.engine import Rollout, contact_slots, register_engine
 from pgf_jax.planning.types import Push
@@ -114,12 +114,13 @@ OF_STATE = (*FEATURES, "iteration", "distance")  # what the toy `gain` looks at
 
 
 def write_checkpoints(folder: Path, seed: int = 0) -> Path:
-    """Untrained networks about costs in the hundreds; `gain` is an ensemble, `failure` log-odds."""
+    """Untrained networks about costs in the hundreds, or log-odds; `gain` is an ensemble."""
     rng = np.random.default_rng(seed)
     features, target = rng.uniform(0, 500, (50, len(OF_STATE))), rng.uniform(0, 500, 50)
     for number, network in enumerate(checkpoint.NETWORKS):
-        names = OF_STATE if network == "gain" else FEATURES
-        y = (target - 250) / 50 if network == "failure" else target
+        timed = network.startswith("time_")
+        names = OF_STATE if network == "gain" else (*FEATURES, AHEAD) if timed else FEATURES
+        y = (target - 250) / 50 if network == "failure" or timed else target
         members = [
             init(jax.random.key(10 * member + number), features[:, : len(names)], y, names=names)
             for member in range(2 if network == "gain" else 1)

@@ -326,18 +326,21 @@ def cell_of(config: SweepConfig, policy: str) -> CellSpec:
 def test_a_cell_s_identity_names_the_predictor_that_it_used(tmp_path):
     first = write_checkpoints(tmp_path / "first")
     second = write_checkpoints(tmp_path / "second", seed=1)
-    policies = ("pgf", "classifier", "autonomous")
+    policies = ("pgf", "classifier", "autonomous", "gain-rate", "oracle-time")
 
     def used(predictor, policy):
         config = ghost(tmp_path / "out", policies=policies, predictor=predictor)
         return cell_of(config, policy).identity["predictors"]
 
     texts = [f"{name}:{folder}" for name in ("paper", "best") for folder in (first, second)]
-    for policy, different in (("pgf", 4), ("autonomous", 4), ("classifier", 2)):
+    numbers = {"pgf": 4, "autonomous": 4, "classifier": 2, "gain-rate": 2, "oracle-time": 1}
+    for policy, different in numbers.items():
         found = [used(text, policy) for text in texts]
         assert len({json.dumps(one, sort_keys=True) for one in found}) == different
     assert list(used(texts[2], "pgf")) == ["gain"]
     assert list(used(texts[2], "classifier")) == ["failure"]
+    assert list(used(texts[2], "gain-rate")) == ["time_alone", "time_helped"]
+    assert used(texts[2], "oracle-time") == {}
     digest = sha256((second / "failure.msgpack").read_bytes())
     assert used(texts[3], "classifier") == {"failure": digest}
     # Who else is in the sweep does not matter.

@@ -75,7 +75,7 @@ def refused(path, frame, message):
         ("key", [1, 2], "the keys of a state must be 0, 1, 2, "),
         ("key", [0, 0], "the keys of a state must be 0, 1, 2, "),
         ("class", ["tight", "wide"], "a state must be the same under all its keys"),
-        ("iteration", [4, 5], "a state must be the same under all its keys"),
+        ("iteration", [4, 5], "the keys of a state must be 0, 1, 2, "),  # two states
         ("state:range", [0.0, 1e-9], "a state must be the same under all its keys"),
         ("state:n_objects", [np.nan, 0.0], "a state must be the same under all its keys"),
         ("alone", [1.0, None], "column alone has 1 nulls, expected none"),

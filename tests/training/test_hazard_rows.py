@@ -1,5 +1,7 @@
 """Rows of hazards, and what networks trained on them predict."""
 
+from typing import Any
+
 import numpy as np
 import polars as pl
 import pytest
@@ -16,7 +18,7 @@ from pgf_jax.training.rows import hazard_rows
 from pgf_jax.training.train import RECIPES, fit_network, report_of, save
 
 
-def future(number, alone, helped, *, scene="tight_1", **changes):
+def future(number, alone, helped, *, scene: Any = "tight_1", **changes: Any):
     """A state with one future; `alone` and `helped` are (seconds, solved)."""
     row = {
         "scene": scene,

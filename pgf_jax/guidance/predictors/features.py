@@ -60,6 +60,11 @@ FEATURES = tuple(STATE_MEANINGS)[: 1 + 3 * HISTORY]
 STATE = tuple(STATE_MEANINGS)
 
 
+def ahead(iterations: np.ndarray) -> np.ndarray:
+    """The feature `AHEAD` of iterations that are 1, 2, ... from now."""
+    return np.log2(np.asarray(iterations, dtype=np.float64))
+
+
 def history_features(n_objects: int, history: Sequence[Sequence[float]] | np.ndarray) -> np.ndarray:
     """Compute the paper's history features; nan where the history is too short.
 

@@ -11,17 +11,12 @@ import dataclasses
 
 import numpy as np
 
-from pgf_jax.guidance.predictors.features import AHEAD, STATE
+from pgf_jax.guidance.predictors.features import AHEAD, STATE, ahead
 from pgf_jax.guidance.predictors.network import Predictor
 
 HORIZON = 60  # H, iterations ahead: 180 s of 3 s
 # Iterations at which hazards are computed; between them, log-odds are interpolated in log2.
 KNOTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 44, 60)
-
-
-def ahead(iterations: np.ndarray) -> np.ndarray:
-    """The feature `AHEAD` of iterations that are 1, 2, ... from now."""
-    return np.log2(np.asarray(iterations, dtype=np.float64))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,11 +42,14 @@ def survival(network: Predictor, states: np.ndarray) -> np.ndarray:
       [B, H] float64, not increasing; nan where a state has a nan.
     """
     states = np.asarray(states, dtype=np.float64)
-    own = [STATE.index(name) for name in network.features if name != AHEAD]
     at = ahead(np.array(KNOTS))  # [J]
-    rows = np.concatenate(
-        [np.repeat(states[:, own], len(KNOTS), axis=0), np.tile(at, len(states))[:, None]], axis=1
-    )
+    columns = [
+        np.tile(at, len(states))
+        if name == AHEAD
+        else np.repeat(states[:, STATE.index(name)], len(KNOTS))
+        for name in network.features
+    ]
+    rows = np.stack(columns, axis=1)  # [B J, F]
     log_odds = network.predict(rows).astype(np.float64).reshape(len(states), len(KNOTS))
     every = ahead(np.arange(1, HORIZON + 1))
     hazard = np.array(
