@@ -275,6 +275,7 @@ digits and the intervals), by
 `phi_auto` and `phi_human` are the paper's pair (`--predictor paper`, the default), `gain` is the
 one of `--predictor best`, `failure` the one of the policy `classifier`. Files are msgpack with a
 digest; shapes are checked on loading (`pgf_jax/guidance/predictors/checkpoint.py`).
+`time_alone` and `time_helped`, of the policies that rank by time, are in [`TIMES.md`](TIMES.md).
 
 | file | size | sha256 |
 |---|---:|---|

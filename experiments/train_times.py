@@ -43,6 +43,7 @@ NETWORKS = ("time_alone", "time_helped")
 COLLECTIONS = (("train", 6000, 0, 1, 2), ("test", 1200, 1_000_000, 6, 1))
 STEP_S = 2 * FleetConfig().rollout_time_s  # of an iteration
 SERVICE_S = FleetConfig().service_mean_s
+TASK_LIMIT_S = FleetConfig().task_limit_s
 WITHIN = 10  # iterations: of the probabilities that are judged
 WINDOW, WINDOWS = 8, 4000
 TENTHS = 10
@@ -66,6 +67,7 @@ class Futures:
       states: [F, S].
       seconds: which -> [F, K] until it was solved, or cut off, s.
       solved: which -> [F, K].
+      remaining_s: [F] that was left of the task's limit, but for the time of checks, s.
     """
 
     scene: np.ndarray
@@ -73,6 +75,7 @@ class Futures:
     states: np.ndarray
     seconds: dict[str, np.ndarray]
     solved: dict[str, np.ndarray]
+    remaining_s: np.ndarray
 
     @property
     def saved(self) -> np.ndarray:
@@ -81,8 +84,9 @@ class Futures:
         By all pairs of a future alone and one with help; up to the task's limit.
         """
         alone, helped = self.seconds["alone"][:, :, None], self.seconds["helped"][:, None, :]
-        limit = alone.max(axis=(1, 2), keepdims=True)
-        with_help = np.minimum(SERVICE_S + helped, np.maximum(limit, SERVICE_S))
+        with_help = np.minimum(
+            SERVICE_S + helped, np.maximum(self.remaining_s, SERVICE_S)[:, None, None]
+        )
         return np.where(alone > SERVICE_S, alone - with_help, 0.0).mean(axis=(1, 2))
 
 
@@ -111,6 +115,7 @@ def futures_of(frame: pl.DataFrame) -> Futures:
         states=states[kept],
         seconds={which: by_key(f"{which}_s") for which in ("alone", "helped")},
         solved={which: by_key(f"{which}_solved") for which in ("alone", "helped")},
+        remaining_s=TASK_LIMIT_S - STEP_S * (0.5 + first["iteration"].to_numpy()[kept]),
     )
 
 
@@ -227,10 +232,9 @@ def judge(futures: Futures, predictor: TimeToSolution) -> dict:
             "brier": float(brier),
             "brier_of_the_mean": float(base * (1 - base)),
         }
-    remaining = futures.seconds["alone"].max(axis=1)
     best, _ = predictor_spec("best").load()
     bids = {
-        "time-saved": time_saved(survival[:, 0], survival[:, 1], remaining),
+        "time-saved": time_saved(survival[:, 0], survival[:, 1], futures.remaining_s),
         "best": best.gain(futures.states),
         "time left alone": restricted_mean(survival[:, 0]),
     }

@@ -1,0 +1,122 @@
+"""Is the robot that help saves most time the one to help? Policies that rank robots by time.
+
+    python experiments/ranking.py [--tune] [--sets every packed] [--seeds 0 1] [--draw]
+
+Fleets of 1, 10, 20 and 30 robots on four sets of scenes, in the solid world. What a fleet gave is
+stored as a row, and a fleet that has a row is not computed again, so that the study can grow seed
+by seed. Policies and their options are chosen on seeds 100 to 107 (`--tune`), and judged on seeds 0
+to 7. Intervals are 95 % (Student's t), over seeds, of paired differences: the same scenes, the same
+noise and the same service times.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import polars as pl
+from study_rows import difference, over_seeds, table_row, text
+from study_runs import RAW, ROOT, Run, rows_of, script
+
+from pgf_jax import SweepConfig, sweep
+from pgf_jax.files import write_atomically
+from pgf_jax.sweeping.summary import csv
+
+POLICIES = ("or-hitl", "pgf", "or-hitl+plan", "pgf+plan", "time-saved", "gain-rate", "urgency")
+BEST = "gain-rate"
+KEY = ("set", "robots", "policy", "seed")
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Options of the script."""
+
+    sets: tuple[str, ...] = ("all", "every", "crowded", "packed")
+    robots: tuple[int, ...] = (1, 10, 20, 30)
+    policies: tuple[str, ...] = POLICIES
+    seeds: tuple[int, ...] | None = None  # None: 0 to 7, or 100 to 107
+    tune: bool = False  # the seeds by which policies and options are chosen
+    draw: bool = False  # only write the tables, from the stored rows
+    out: Path = ROOT / "experiments/results"
+    raw: Path = RAW / "ranking"
+
+
+def tasks_of(robots: int) -> int:
+    """Tasks of each robot: more where there is one robot, so that its fleet says something."""
+    return 40 if robots == 1 else 5
+
+
+def compute(config: Config, path: Path) -> None:
+    """Compute the fleets that have no row, seed by seed, and store their rows as they end."""
+    first = 100 if config.tune else 0
+    rows = pl.read_csv(path).to_dicts() if path.exists() else []
+    for seed in config.seeds or range(first, first + 8):
+        for name in config.sets:
+            there = {tuple(row[key] for key in KEY) for row in rows}
+            for robots in config.robots:
+                missing = tuple(
+                    policy
+                    for policy in config.policies
+                    if (name, robots, policy, seed) not in there
+                )
+                if not missing:
+                    continue
+                sweep_config = SweepConfig(
+                    robots=(robots,),
+                    tasks=tasks_of(robots),
+                    policies=missing,
+                    seed=seed,
+                    scene_class=name,  # pyright: ignore[reportArgumentType]
+                    resume=True,
+                )
+                run = Run({"set": name, "robots": robots}, sweep_config)
+                sweep_config = dataclasses.replace(sweep_config, out=run.folder(config.raw))
+                found = rows_of(sweep_config, sweep(sweep_config, quiet=True))
+                rows += [{"set": name, **row} for row in found]
+                table = pl.DataFrame(rows, infer_schema_length=None).sort(KEY)
+                write_atomically(path, csv(table))
+                print(f"seed {seed}, {name}, {robots} robots: {', '.join(missing)}", flush=True)
+
+
+def tables(frame: pl.DataFrame) -> str:
+    """The tables as Markdown: by set and fleet size, every policy against `BEST`."""
+    lines = []
+    for name in dict.fromkeys(frame["set"]):
+        of_set = frame.filter(set=name)
+        lines += [f"## {name}", ""]
+        headings = ("robots", "policy", "seeds", "success, %", "planning, s", "in the task, s")
+        headings += (f"`{BEST}` less it, s", "success, points", "utilisation")
+        lines += [table_row(headings), table_row(["---"] * len(headings))]
+        for robots in sorted(set(of_set["robots"])):
+            ours = of_set.filter(robots=robots, policy=BEST)
+            for policy in dict.fromkeys(of_set.filter(robots=robots)["policy"]):
+                its = of_set.filter(robots=robots, policy=policy)
+                cells = [str(robots), f"`{policy}`", str(len(its))]
+                cells += [text(over_seeds(its, "success"), scale=100)]
+                cells += [text(over_seeds(its, c)) for c in ("planning_time_s", "task_time_s")]
+                if policy == BEST or not len(ours):
+                    cells += ["", ""]
+                else:
+                    cells += [
+                        text(difference(ours, its, "task_time_s")),
+                        text(difference(ours, its, "success"), scale=100),
+                    ]
+                lines.append(table_row([*cells, text(over_seeds(its, "utilisation"), 2)]))
+        lines.append("")
+    return "\n".join(lines)
+
+
+def main(config: Config) -> None:
+    """Compute the missing fleets, then write the tables."""
+    name = "ranking_tuning" if config.tune else "ranking"
+    path = config.out / f"{name}.csv"
+    if not config.draw:
+        compute(config, path)
+    report = f"# Policies that rank by time{' (tuning)' if config.tune else ''}\n\n"
+    command = "python experiments/ranking.py" + (" --tune" if config.tune else "")
+    report += f"Written by `{command}`, which says what was done.\n\n"
+    report += tables(pl.read_csv(path))
+    write_atomically(config.out / f"{name}.md", report.encode())
+    print(report)
+
+
+if __name__ == "__main__":
+    script(main, Config)
