@@ -230,7 +230,7 @@ def test_a_truncated_part_or_settings_file_is_named(tmp_path, autonomous):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"mode": "both"}, "mode: expected one of autonomous, human, forks, got 'both'"),
+        ({"mode": "both"}, "mode: expected one of autonomous, human, forks, futures, got 'both'"),
         ({"scenes": 0}, "scenes: expected a whole number 1 or more, got 0"),
         ({"seed": -1}, "seed: expected a whole number within 0"),
         ({"classes": ()}, "classes: expected one or more"),
