@@ -112,7 +112,7 @@ def main(config: Config) -> None:
     table = Table(title=f"{len(forks.scene)} states, {config.folds} folds")
     for column in ("bids by", "rank correlation", *(f"regret m = {m}, to random's" for m in SIZES)):
         table.add_column(column, justify="left" if column == "bids by" else "right")
-    chosen = {m: ev.windows(bids, forks, m, beside=("random",)) for m in SIZES}
+    chosen = {m: ev.windows(bids, forks.gain, m, beside=("random",)) for m in SIZES}
     for name, bid in bids.items():
         regrets = [
             f"{chosen[m][name].regret} {chosen[m][name].to['random'].value:.2f}" for m in SIZES

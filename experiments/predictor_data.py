@@ -58,9 +58,9 @@ def collections(tight: bool) -> tuple:
     return COLLECTIONS + TIGHT if tight else COLLECTIONS
 
 
-def collect(folder: Path, scale: float, tight: bool) -> None:
-    """Collect the missing data; `scale` multiplies the numbers of scenes."""
-    for part, mode, scenes, seed, options in collections(tight):
+def collect(wanted: tuple, folder: Path, scale: float) -> None:
+    """Collect what is missing of collections; `scale` multiplies the numbers of scenes."""
+    for part, mode, scenes, seed, options in wanted:
         number = max(30, round(scenes * scale))
         command = ["collect", mode, "--scenes", str(number), "--seed", str(seed), *options]
         command += ["--out", str(folder / part), "--resume"]

@@ -151,7 +151,7 @@ class WindowScores:
 
 def windows(
     bids: Mapping[str, np.ndarray],
-    forks: Forks,
+    truth: np.ndarray,
     m: int,
     *,
     beside: Sequence[str] = (),
@@ -162,13 +162,13 @@ def windows(
 
     Args:
       bids: [F] bids by name, scored in the same windows; among equal bids a random one wins.
-      forks: the states.
+      truth: [F] true gains of the states.
       m: robots in a window.
       beside: names of the bids to whose regret that of the others is compared.
       count: number of windows.
       resamples: number of draws of the states, for the intervals.
     """
-    truth, stack = forks.gain, np.stack(list(bids.values()))
+    stack = np.stack(list(bids.values()))
     states = np.arange(len(truth))
     value = _choose(stack, truth, truth, states, m, count, 0)
     draw = stream(1, "window", m)

@@ -90,8 +90,8 @@ def gain_table(forks: Forks, predictors: Mapping[str, Sequence[GainPredictor]]) 
         }
         rows: dict[str, Any] = {kind: {"windows": {}} for kind in (*trivial, *predictors)}
         for m in SIZES:
-            chosen = ev.windows({**trivial, **of_seed[0]}, part, m, beside=("random", "paper"))
-            others = [ev.windows(bids, part, m, resamples=1) for bids in of_seed[1:]]
+            chosen = ev.windows({**trivial, **of_seed[0]}, part.gain, m, beside=("random", "paper"))
+            others = [ev.windows(bids, part.gain, m, resamples=1) for bids in of_seed[1:]]
             for kind, choice in chosen.items():
                 regrets = [choice.regret.value]
                 regrets += [other[kind].regret.value for other in others if kind in other]

@@ -17,7 +17,7 @@ from pathlib import Path
 import jax
 import predictor_report as report
 import tyro
-from predictor_data import Data, collect, load
+from predictor_data import Data, collect, collections, load
 from rich.console import Console
 
 from pgf_jax import configure
@@ -134,7 +134,7 @@ def main(config: Config) -> None:
     console = Console()
     begun = time.perf_counter()
     folder = config.data / f"scale_{config.scale:g}"
-    collect(folder, config.scale, config.tight)
+    collect(collections(config.tight), folder, config.scale)
     collected_s = time.perf_counter() - begun
     data = load(folder, config.tight)
     networks, predictors = train(data)

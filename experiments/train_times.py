@@ -11,8 +11,6 @@ of `checkpoints/TIMES.md` come from this script. Intervals are 95 %, by scenes d
 import dataclasses
 import hashlib
 import json
-import subprocess
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -20,8 +18,8 @@ import numpy as np
 import polars as pl
 import tyro
 from matplotlib.figure import Figure
-from predictor_data import EVERY
-from predictor_evaluation import Estimate, bootstrap
+from predictor_data import EVERY, collect
+from predictor_evaluation import Estimate, bootstrap, windows
 
 from pgf_jax import configure
 from pgf_jax.files import png, write_atomically
@@ -31,7 +29,6 @@ from pgf_jax.guidance.predictors.features import STATE
 from pgf_jax.guidance.predictors.registry import predictor_spec
 from pgf_jax.guidance.predictors.survival import HORIZON, TimeToSolution
 from pgf_jax.scene import PRESETS
-from pgf_jax.streams import stream
 from pgf_jax.tables.forks import read_futures
 from pgf_jax.tables.runs import Mode, runs_path
 from pgf_jax.training import train as training
@@ -39,13 +36,15 @@ from pgf_jax.training.config import TrainConfig
 from pgf_jax.training.fit import Trained
 
 NETWORKS = ("time_alone", "time_helped")
-# (folder, scenes at full scale, seed of the first scene, futures of each state, states of each)
-COLLECTIONS = (("train", 6000, 0, 1, 2), ("test", 1200, 1_000_000, 6, 1))
+COLLECTIONS = (  # see `predictor_data`
+    ("train", "futures", 6000, 0, (*EVERY, "--keys", "1", "--states", "2")),
+    ("test", "futures", 1200, 1_000_000, (*EVERY, "--keys", "6", "--states", "1")),
+)
 STEP_S = 2 * FleetConfig().rollout_time_s  # of an iteration
 SERVICE_S = FleetConfig().service_mean_s
 TASK_LIMIT_S = FleetConfig().task_limit_s
 WITHIN = 10  # iterations: of the probabilities that are judged
-WINDOW, WINDOWS = 8, 4000
+WINDOW = 8  # robots of which one is served
 TENTHS = 10
 
 
@@ -88,16 +87,6 @@ class Futures:
             SERVICE_S + helped, np.maximum(self.remaining_s, SERVICE_S)[:, None, None]
         )
         return np.where(alone > SERVICE_S, alone - with_help, 0.0).mean(axis=(1, 2))
-
-
-def collect(config: Config) -> None:
-    for part, scenes, seed, keys, states in COLLECTIONS:
-        number = max(30, round(scenes * config.scale))
-        command = ["collect", "futures", "--scenes", str(number), "--seed", str(seed), *EVERY]
-        command += ["--keys", str(keys), "--states", str(states)]
-        command += ["--out", str(config.data / part), "--resume"]
-        print("pgf-jax", *command, flush=True)
-        subprocess.run([sys.executable, "-m", "pgf_jax", *command], check=True)
 
 
 def futures_of(frame: pl.DataFrame) -> Futures:
@@ -146,33 +135,6 @@ def calibration(
     for part in np.array_split(np.argsort(predicted, kind="stable"), TENTHS):
         seen = bootstrap(lambda i, part=part: float(happened[part][i].mean()), scene[part], 300)
         out.append((float(predicted[part].mean()), seen))
-    return out
-
-
-def regret(bid: np.ndarray, saved: np.ndarray, states: np.ndarray, seed: int = 0) -> float:
-    """Mean time lost by serving the highest bid of 8 random states, s, against the best one."""
-    draw = stream(seed, "regret", len(states))
-    count = min(WINDOW, len(np.unique(states)))
-    robots = states[np.argsort(draw.random((WINDOWS, len(states))), axis=1)[:, :count]]
-    luck = draw.random((WINDOWS, len(saved)))[0]
-    chosen = np.array([row[np.lexsort((luck[row], bid[row]))[-1]] for row in robots])
-    return float((saved[robots].max(axis=1) - saved[chosen]).mean())
-
-
-def regrets(bids: dict[str, np.ndarray], saved: np.ndarray) -> dict[str, tuple[float, Estimate]]:
-    """Of each kind of bid: the regret, s, and its share of that of chance."""
-    every = np.arange(len(saved))
-    chance = stream(1, "chance").random(len(saved))
-    draws = [stream(2, "states", r).integers(len(saved), size=len(saved)) for r in range(1, 101)]
-
-    def share(bid: np.ndarray, states: np.ndarray, seed: int) -> float:
-        return regret(bid, saved, states, seed) / regret(chance, saved, states, seed)
-
-    out = {}
-    for name, bid in bids.items():
-        drawn = [share(bid, states, r) for r, states in enumerate(draws, 1)]
-        low, high = np.quantile(drawn, (0.025, 0.975))
-        out[name] = regret(bid, saved, every), Estimate(share(bid, every, 0), low, high)
     return out
 
 
@@ -238,9 +200,14 @@ def judge(futures: Futures, predictor: TimeToSolution) -> dict:
         "best": best.gain(futures.states),
         "time left alone": restricted_mean(survival[:, 0]),
     }
+    bids["chance"] = np.zeros(len(futures.scene))  # among equal bids a random one wins
+    scores = windows(bids, futures.saved, WINDOW, beside=("chance", "best"))
     content["regret"] = {
-        name: (value, dataclasses.asdict(share))
-        for name, (value, share) in regrets(bids, futures.saved).items()
+        name: {
+            "s": score.regret.value,
+            **{other: dataclasses.asdict(share) for other, share in score.to.items()},
+        }
+        for name, score in scores.items()
     }
     content["saved"] = float(futures.saved.mean())
     return content
@@ -329,10 +296,10 @@ best choice, with services of {SERVICE_S:g} s beside which the robot plans on. H
 
 {
         _table(
-            ("bids by", "regret, s", "as a share of chance's"),
+            ("bids by", "regret, s", "as a share of chance's", "as a share of that of `best`"),
             [
-                (name, f"{value:.1f}", _estimate(share))
-                for name, (value, share) in content["regret"].items()
+                (name, f"{of['s']:.1f}", _estimate(of["chance"]), _estimate(of["best"]))
+                for name, of in content["regret"].items()
             ],
         )
     }
@@ -346,7 +313,7 @@ def _percents(e: dict) -> str:
 def main(config: Config) -> None:
     """Collect, train, judge, write and print."""
     configure()
-    collect(config)
+    collect(COLLECTIONS, config.data, config.scale)
     path = runs_path(config.data / "train", Mode.FUTURES)
     frame = read_futures(path)
     done: dict[str, Trained] = {}

@@ -81,7 +81,9 @@ def test_windows_agree_with_every_window_counted(m):
     regret = np.mean([gains[w].max() - gains[w][bid[w].argmax()] for w in every])
     by_chance = np.mean([gains[w].max() - gains[w].mean() for w in every])
     bids = {"bid": bid, "chance": np.zeros(6), "truth": gains}
-    chosen = ev.windows(bids, of_gains(gains), m, beside=("chance",), count=20_000, resamples=5)
+    chosen = ev.windows(
+        bids, of_gains(gains).gain, m, beside=("chance",), count=20_000, resamples=5
+    )
     assert chosen["bid"].hit.value == pytest.approx(hit, abs=0.02)
     assert chosen["bid"].regret.value == pytest.approx(regret, rel=0.04)
     assert chosen["chance"].regret.value == pytest.approx(by_chance, rel=0.04)
@@ -98,7 +100,7 @@ def test_reachable_regret_is_zero_without_noise_and_that_of_chance_with_noise_al
     halves = noise.alone[:, :4].mean(1), noise.alone[:, 4:].mean(1)
     chance = np.mean(
         [
-            ev.windows({"x": np.zeros(400)}, of_gains(half), 4, resamples=1)["x"].regret.value
+            ev.windows({"x": np.zeros(400)}, of_gains(half).gain, 4, resamples=1)["x"].regret.value
             for half in halves
         ]
     )

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from coroutines import DONE, FOUND, HOPELESS, native, run, stepped, traced, turn, unsolved
+from coroutines import DONE, FOUND, HOPELESS, Says, native, run, stepped, traced, turn, unsolved
 
 from pgf_jax.batching.requests import Memoised, Step, robot_key_path
 from pgf_jax.guidance.operators.base import ask_operator
@@ -16,18 +16,6 @@ pytestmark = pytest.mark.usefixtures("remembered_rollouts")
 
 LOOK_AHEAD = 10  # reach iterations
 PUSHED = 1 + PUSH_ITERATIONS  # of a push that is not found, and then dropped
-
-
-class Says:
-    """Gives one input, whatever it sees."""
-
-    name = "says"
-
-    def __init__(self, push) -> None:
-        self.push = push
-
-    def decide(self, view: View):
-        return self.push
 
 
 def asks_for(push, search, key) -> Memoised:

@@ -3,11 +3,10 @@
 import math
 
 import pytest
-from coroutines import DONE, FOUND, HOPELESS, native, run, stepped, turn, unsolved
+from coroutines import DONE, FOUND, HOPELESS, Says, native, run, stepped, turn, unsolved
 
 from pgf_jax.batching.requests import robot_key_path
 from pgf_jax.guidance.trials import simulate_input
-from pgf_jax.guidance.view import View
 from pgf_jax.planning.search import start_world
 from pgf_jax.scene import sample_scene
 from pgf_jax.simulation.search_cache import Node, SearchCache
@@ -16,16 +15,6 @@ from pgf_jax.simulation.true_time import TrueTime
 pytestmark = pytest.mark.usefixtures("remembered_rollouts")
 
 LIMIT = 41.0  # rollouts of the task
-
-
-class Says:
-    name = "says"
-
-    def __init__(self, push) -> None:
-        self.push = push
-
-    def decide(self, view: View):
-        return self.push
 
 
 def cache(push, seed: int) -> SearchCache:

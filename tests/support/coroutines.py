@@ -10,6 +10,7 @@ import numpy as np
 from pgf_jax.batching.planner_service import PlannerService, make_planner_service
 from pgf_jax.batching.requests import Coroutine, Request
 from pgf_jax.batching.scheduler import BatchScheduler
+from pgf_jax.guidance.view import View
 from pgf_jax.physics.config import Physics
 from pgf_jax.planning.config import Planner
 from pgf_jax.planning.search import Search, start_world
@@ -21,6 +22,18 @@ from pgf_jax.scene import sample_scene
 DONE = 5  # iterations, iteration 0 included
 FOUND = {0: Push(16, 0.55, 0.3), 2: Push(15, 0.4156, 0.0128)}
 HOPELESS = {0: Push(6, 0.3, 0.0), 2: Push(6, 0.3, 0.0)}
+
+
+class Says:
+    """Gives one input, whatever it sees."""
+
+    name = "says"
+
+    def __init__(self, push) -> None:
+        self.push = push
+
+    def decide(self, view: View):
+        return self.push
 
 
 def native(lanes: int = 2) -> PlannerService:
