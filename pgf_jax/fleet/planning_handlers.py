@@ -191,6 +191,7 @@ class PlanningHandlers:
             run.push = given
             run.push_deadline_ns = state.now_ns + nanoseconds(state.config.push_limit_s)
             run.pushes_planned += 1
+            run.reach_nominal_done = run.nominal_done
             run.start_segment()
         elif plans:
             run.go_on_given = True
@@ -229,9 +230,10 @@ class PlanningHandlers:
         end_ns = end_after(2 if run.nominal_done else 1)
         if run.push is not None and end_ns > min(run.push_deadline_ns, run.deadline_ns):
             state.log(EventKind.PUSH_DROPPED, run, object=run.push.object)
-            state.robots.drop_push(run.robot, keep=state.plans_while_served)
+            keep = state.plans_while_served
+            state.robots.drop_push(run.robot, keep=keep)
             run.push = None
-            run.start_segment(nominal_done=state.plans_while_served)
+            run.start_segment(nominal_done=keep and run.reach_nominal_done)
             end_ns = end_after(2 if run.nominal_done else 1)
         if end_ns > run.deadline_ns:
             self.end_task(run, run.failure_status())

@@ -33,6 +33,7 @@ class TaskRun:
     push: Push | None = None  # None: reaching
     push_deadline_ns: int = 0
     nominal_done: bool = False  # the segment's iteration 0 has ended
+    reach_nominal_done: bool = False  # that of the reach from which the push took over
     stuck: bool = False  # after its last iteration
     check: int | None = None  # number of the final check under way, within its iteration
     started_ns: int = 0  # when the iteration or check under way began

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from random_fleets import CONFIGS, noisy_robots
 
 from pgf_jax.fleet import EventKind, Fleet, FleetConfig, IterationResult
+from pgf_jax.fleet.config import plans_meanwhile
+from pgf_jax.fleet.policies import make_policy
 from pgf_jax.fleet.stub import StubRobots, drive, outcome
 from pgf_jax.metrics.attention import attention, jain_index, waits_s
 from pgf_jax.metrics.summary import rate_interval, summarise
@@ -120,9 +122,10 @@ def test_costs_are_those_that_the_log_says(config, seed):
     robots.compute = remembered
     fleet = Fleet(config, robots)
     drive([(fleet, robots)])
+    _, keeps_reach = plans_meanwhile(config, make_policy(config))
     for record in fleet.records:
         asked, helped = [], []
-        last, ahead, nominal = math.nan, 0, True
+        last, ahead, nominal, reach_nominal = math.nan, 0, True, True
         for event in fleet.events:
             if (event.robot, event.task) != (record.robot, record.task):
                 continue
@@ -130,8 +133,11 @@ def test_costs_are_those_that_the_log_says(config, seed):
                 asked.append(last)
                 helped.append(math.nan)
                 ahead = 0
+                reach_nominal = nominal
                 nominal |= event.outcome == "push"
-            elif event.kind in (EventKind.PUSH_DROPPED, EventKind.RETREAT_END):
+            elif event.kind is EventKind.PUSH_DROPPED:
+                nominal = reach_nominal or not keeps_reach
+            elif event.kind is EventKind.RETREAT_END:
                 nominal = True
             elif event.kind is EventKind.ITERATION:
                 if event.object is None:
