@@ -79,7 +79,7 @@ class SweepConfig:
         twice), pgf+plan and or-hitl+plan (which plan on meanwhile), time-saved, gain-rate and
         urgency (a free operator takes the robot that help saves most time, most time for each
         second of service, or that is least likely to get on alone), oracle-time (time-saved by the
-        true times; slow), or a registered one; None: pgf and or-hitl.
+        true times; slow), or a registered one; None: or-hitl, pgf and gain-rate.
       tasks: tasks of each robot; None: those of the preset.
       seed: seed of scenes, planning noise, service times and ties.
       seeds: several seeds, in place of seed: a fleet of each for every policy and fleet size, so

@@ -25,7 +25,7 @@ class Preset:
     fixed: bool = False
 
 
-DEFAULT = Preset((1, 10, 20, 30), ("pgf", "or-hitl"), lambda robots: 10)
+DEFAULT = Preset((1, 10, 20, 30), ("or-hitl", "pgf", "gain-rate"), lambda robots: 10)
 PRESETS = {
     # 2 policies * (1 robot * 4 tasks + 4 robots * 4 tasks) = 40 tasks.
     "quick": Preset((1, 4), ("pgf", "or-hitl"), lambda robots: 4, fixed=True),

@@ -235,9 +235,16 @@ def _predictors(
             specs[kind] = PredictorSpec(kind, spec.folder, spec.part)
         elif kind == "time":
             specs[kind] = PredictorSpec(kind, spec.folder)
-    for one in specs.values():
-        if one not in loaded:
+    for kind, one in specs.items():
+        if one in loaded:
+            continue
+        try:
             loaded[one] = _load(one)
+        except BadInput as error:
+            # The user may not have named the policy: it can be a default one.
+            needs = [c.policy for c in config.cells() if _OWN_PREDICTORS.get(c.policy) == kind]
+            why = f"; policy {needs[0]} needs it" if needs else ""
+            raise BadInput(f"{error}{why}") from error
     predictors = {kind: loaded[one][0] for kind, one in specs.items()}
     return predictors, {kind: loaded[one][1] for kind, one in specs.items()}
 

@@ -47,6 +47,17 @@ def test_lists_and_strings_will_do():
     assert config == SweepConfig(preset="quick", robots=(1, 4), out=Path("x"))
 
 
+def test_a_plain_sweep_compares_the_baseline_the_paper_and_the_best_here():
+    cells = SweepConfig().cells()
+    assert list(dict.fromkeys(c.policy for c in cells)) == ["or-hitl", "pgf", "gain-rate"]
+    assert list(dict.fromkeys((c.robots, c.tasks) for c in cells)) == [
+        (1, 10),
+        (10, 10),
+        (20, 10),
+        (30, 10),
+    ]
+
+
 def test_paper_sizes():
     cells = SweepConfig(preset="paper").cells()
     assert [(c.robots, c.tasks) for c in cells if c.policy == "pgf"] == [

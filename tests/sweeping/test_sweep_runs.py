@@ -382,6 +382,7 @@ def test_another_kind_of_predictor_is_another_configuration(tmp_path):
         (("pgf",), "best:{}", "gain"),
         (("autonomous",), "best:{}", "gain"),
         (("classifier",), "best:{}", "gain"),
+        (None, "{}", "time_alone"),
     ],
 )
 def test_a_missing_network_is_named(tmp_path, policies, predictor, missing):
@@ -389,6 +390,8 @@ def test_a_missing_network_is_named(tmp_path, policies, predictor, missing):
     (folder / f"{missing}.msgpack").unlink()
     config = ghost(tmp_path / "out", policies=policies, predictor=predictor.format(folder))
     refused(config, rf"{folder}/{missing}\.msgpack: no such file", tmp_path)
+    if policies is None:  # of which the user has named none
+        refused(config, "policy gain-rate needs it", tmp_path)
 
 
 def test_scenes_of_a_folder(tmp_path):
