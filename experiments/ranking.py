@@ -10,6 +10,8 @@ noise and the same service times.
 """
 
 import dataclasses
+import itertools
+from collections.abc import Iterator
 from pathlib import Path
 
 import polars as pl
@@ -44,36 +46,50 @@ def tasks_of(robots: int) -> int:
     return 40 if robots == 1 else 5
 
 
-def compute(config: Config, path: Path) -> None:
-    """Compute the fleets that have no row, seed by seed, and store their rows as they end."""
+def batches(config: Config) -> Iterator[tuple[str, int, tuple[int, ...]]]:
+    """What is computed together: a set, a fleet size, and seeds.
+
+    The tasks of one robot come one after another, so its seeds share their batches of rollouts.
+    """
     first = 100 if config.tune else 0
-    rows = pl.read_csv(path).to_dicts() if path.exists() else []
-    for seed in config.seeds or range(first, first + 8):
+    seeds = config.seeds or tuple(range(first, first + 8))
+    for name in config.sets:
+        if 1 in config.robots:
+            yield name, 1, seeds
+    for seed in seeds:
         for name in config.sets:
-            there = {tuple(row[key] for key in KEY) for row in rows}
             for robots in config.robots:
-                missing = tuple(
-                    policy
-                    for policy in config.policies
-                    if (name, robots, policy, seed) not in there
-                )
-                if not missing:
-                    continue
-                sweep_config = SweepConfig(
-                    robots=(robots,),
-                    tasks=tasks_of(robots),
-                    policies=missing,
-                    seed=seed,
-                    scene_class=name,  # pyright: ignore[reportArgumentType]
-                    resume=True,
-                )
-                run = Run({"set": name, "robots": robots}, sweep_config)
-                sweep_config = dataclasses.replace(sweep_config, out=run.folder(config.raw))
-                found = rows_of(sweep_config, sweep(sweep_config, quiet=True))
-                rows += [{"set": name, **row} for row in found]
-                table = pl.DataFrame(rows, infer_schema_length=None).sort(KEY)
-                write_atomically(path, csv(table))
-                print(f"seed {seed}, {name}, {robots} robots: {', '.join(missing)}", flush=True)
+                if robots > 1:
+                    yield name, robots, (seed,)
+
+
+def compute(config: Config, path: Path) -> None:
+    """Compute the fleets that have no row, and store their rows as they end."""
+    rows = pl.read_csv(path).to_dicts() if path.exists() else []
+    for name, robots, seeds in batches(config):
+        there = {tuple(row[key] for key in KEY) for row in rows}
+        fleets = itertools.product(config.policies, seeds)
+        lacking = [(p, seed) for p, seed in fleets if (name, robots, p, seed) not in there]
+        if not lacking:
+            continue
+        policies, seeds = (tuple(dict.fromkeys(names)) for names in zip(*lacking, strict=True))
+        sweep_config = SweepConfig(
+            robots=(robots,),
+            tasks=tasks_of(robots),
+            policies=policies,
+            seeds=seeds,
+            scene_class=name,  # pyright: ignore[reportArgumentType]
+            resume=True,
+        )
+        run = Run({"set": name, "robots": robots, "seeds": "-".join(map(str, seeds))}, sweep_config)
+        sweep_config = dataclasses.replace(sweep_config, out=run.folder(config.raw))
+        found = [
+            {"set": name, **row} for row in rows_of(sweep_config, sweep(sweep_config, quiet=True))
+        ]
+        rows += [row for row in found if tuple(row[key] for key in KEY) not in there]
+        table = pl.DataFrame(rows, infer_schema_length=None).sort(KEY)
+        write_atomically(path, csv(table))
+        print(f"{name}, {robots} robots, seeds {seeds}: {', '.join(policies)}", flush=True)
 
 
 def tables(frame: pl.DataFrame) -> str:

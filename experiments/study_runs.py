@@ -21,6 +21,7 @@ from rich.console import Console
 from pgf_jax import BadInput, SweepConfig, configure, sweeps
 from pgf_jax.files import write_atomically
 from pgf_jax.metrics.attention import attention
+from pgf_jax.metrics.effort import effort
 from pgf_jax.metrics.identities import verify
 from pgf_jax.metrics.summary import NS_PER_HOUR, summarise
 from pgf_jax.sweeping.resolve import Loaded, resolve
@@ -128,6 +129,7 @@ def rows_of(config: SweepConfig, outcome: SweepResult) -> list[dict]:
         spent = attention(fleet, records, log).row()
         spent |= {f"{name}_share": spent.pop(name) for name in ("refused", "expired")}
         row = summarise(fleet, records, log).row() | spent
+        row |= dataclasses.asdict(effort(fleet, records, log))
         # Intervals within a fleet are left out: intervals are made over fleets of several seeds.
         row = {k: v for k, v in row.items() if not k.endswith(("_low", "_high"))}
         robot_hours = sum(r.end_ns - r.start_ns for r in records) / NS_PER_HOUR
