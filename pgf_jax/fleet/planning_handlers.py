@@ -28,6 +28,10 @@ class Requests(Protocol):
         """Let the operators who are free turn to robots that wait in line."""
         ...
 
+    def note_event(self) -> None:
+        """Something has happened, so that there may be another to serve."""
+        ...
+
 
 class PlanningHandlers:
     """Handlers of the events of robots that plan or execute.
@@ -235,6 +239,7 @@ class PlanningHandlers:
             run.push = None
             run.start_segment(nominal_done=keep and run.reach_nominal_done)
             end_ns = end_after(2 if run.nominal_done else 1)
+            self.requests.note_event()  # it may be helped from now on
         if end_ns > run.deadline_ns:
             self.end_task(run, run.failure_status())
             return
@@ -274,3 +279,4 @@ class PlanningHandlers:
             state.calendar.schedule(state.now_ns, EventPriority.NEW_TASK, run.robot)
         if asked:
             self.requests.serve_waiting()
+            self.requests.note_event()

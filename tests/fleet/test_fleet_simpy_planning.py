@@ -1,7 +1,8 @@
 """Robots that plan while they ask and are served, against an independent SimPy model.
 
 Here a robot is a process, its request is another, and each interrupts the other: the robot when it
-has found its way or has no time left, the request when the operator gives a push.
+has found its way or has no time left, the request when the operator gives a push. Where robots do
+not ask but are ranked, one more process wakes at every event and serves whom it finds.
 """
 
 import dataclasses
@@ -9,9 +10,13 @@ from typing import Any
 
 import pytest
 import simpy
+from registered import registered
+from test_fleet_index import HighestGain
 from test_fleet_simpy import Model, Process, World, compare, world
 
+from pgf_jax.fleet import FleetConfig
 from pgf_jax.fleet.event_calendar import nanoseconds
+from pgf_jax.fleet.policies import POLICIES as REGISTRY
 
 POLICIES = ["pgf+plan", "or-hitl+plan", "queue"]
 
@@ -20,11 +25,18 @@ POLICIES = ["pgf+plan", "or-hitl+plan", "queue"]
 class Task:
     """What the processes of a robot and of its request tell each other."""
 
+    task: int
     robot: simpy.Process
     deadline: float
     request: simpy.Process | None = None
     number: int = 0  # of the next service
     go_on: bool = False
+    pushing: bool = False
+    fresh: bool = True  # no nominal yet
+    checking: bool = False
+    iteration: int = 0  # the next one
+    helped_at: int = 0  # the next one when it was served last
+    gain: float = 0.0  # of its last iteration
 
     def end_request(self, why: str) -> None:
         """The robot has found its way, or has no time left."""
@@ -36,27 +48,44 @@ class Task:
 class PlanningModel(Model):
     """The model in which robots go on planning."""
 
+    asks = True  # whether robots ask
+
+    def __init__(self, config: FleetConfig, world: World) -> None:
+        super().__init__(config, world)
+        self.tasks: dict[int, Task] = {}  # of the robots that plan
+
     def attempt(self, robot: int, task: int) -> Process:
+        status = yield from self.plan(robot, task)
+        self.tasks.pop(robot, None)
+        return status
+
+    def wake(self) -> None:
+        """Something has happened."""
+
+    def plan(self, robot: int, task: int) -> Process:
         env, config, world = self.env, self.config, self.world
         assert env.active_process is not None
         rollout = nanoseconds(config.rollout_time_s)
-        it = Task(env.active_process, env.now + nanoseconds(config.task_limit_s))
-        pushing, push_deadline = False, 0.0
-        fresh, stuck, checking = True, False, False
-        iteration = number = 0
+        it = Task(task, env.active_process, env.now + nanoseconds(config.task_limit_s))
+        self.tasks[robot] = it
+        push_deadline, stuck, number = 0.0, False, 0
         result: Any = None
         while True:
-            factor = world.slowdown(robot, task, iteration, 0)
-            if checking:
+            # An operator who is free is granted first, also to a robot that ends at this very
+            # instant: a slow computer has no time left for what an ask takes for granted.
+            for _ in range(3):
+                yield env.timeout(0)
+            factor = world.slowdown(robot, task, it.iteration, 0)
+            if it.checking:
                 lasts = round(rollout * factor)
                 if number and env.now + lasts > it.deadline:
                     it.end_request("expired")
                     return "stuck" if stuck else "timed_out"
             else:
-                lasts = round((1 if fresh else 2) * rollout * factor)
-                if pushing and env.now + lasts > min(push_deadline, it.deadline):
+                lasts = round((1 if it.fresh else 2) * rollout * factor)
+                if it.pushing and env.now + lasts > min(push_deadline, it.deadline):
                     self.note("push_dropped", robot, task)
-                    pushing, fresh, stuck = False, False, False  # the search as it was
+                    it.pushing, it.fresh, stuck = False, False, False  # the search as it was
                     lasts = round(2 * rollout * factor)
                 if env.now + lasts > it.deadline:
                     it.end_request("expired")
@@ -64,39 +93,43 @@ class PlanningModel(Model):
             try:
                 yield env.timeout(lasts)
             except simpy.Interrupt:  # the operator has given a push
-                pushing, fresh, stuck, checking = True, True, False, False
+                it.pushing, it.fresh, stuck, it.checking = True, True, False, False
                 it.go_on = False
                 push_deadline = env.now + nanoseconds(config.push_limit_s)
                 continue
-            if checking:
+            if it.checking:
                 passed = world.p_check_miss is None
                 if not passed:
-                    check = world.check(robot, task, iteration - 1, number)
+                    check = world.check(robot, task, it.iteration - 1, number)
                     passed, result, stuck = check.passed, check.result, check.result.stuck
+                    it.gain = result.gain
                     self.note("check", robot, task, outcome="passed" if passed else "missed")
                     if not passed and check.more:
                         number += 1
                         continue
-                checking = False
+                it.checking = False
                 if passed:
+                    self.wake()
+                    del self.tasks[robot]
                     it.end_request("solved_meanwhile")
                     yield env.timeout(3 * 10**9)
                     self.note("execution_end", robot, task, outcome="reach")
                     return "solved"
             else:
-                result = world.iterate(robot, task, iteration)
-                fresh, stuck, iteration = False, result.stuck, iteration + 1
+                result = world.iterate(robot, task, it.iteration)
+                it.fresh, stuck, it.iteration = False, result.stuck, it.iteration + 1
                 self.note("iteration", robot, task)
-                if result.feasible and pushing:
+                if result.feasible and it.pushing:
                     yield from self.push(robot, task)
                     it.deadline += 4 * 10**9
-                    pushing, fresh, stuck = False, True, False
+                    it.pushing, it.fresh, stuck = False, True, False
                     continue
                 if result.feasible:
-                    checking, number = True, 0
+                    it.checking, number, it.gain = True, 0, result.gain
                     continue
-                if pushing:
+                if it.pushing:
                     continue
+            it.gain = result.gain
             asks = result.stuck
             if it.go_on:
                 it.go_on = stuck = asks = False
@@ -105,12 +138,8 @@ class PlanningModel(Model):
                 return "stuck" if stuck else "timed_out"
             if self.windows:
                 asks = result.gain > 1
-            if it.request is None and asks:
+            if self.asks and it.request is None and asks:
                 it.request = env.process(self.request(robot, task, result.gain, it))
-                # An operator who is free is granted first, also to a robot that ends at this very
-                # instant: a slow computer has no time left for what an ask takes for granted.
-                for _ in range(3):
-                    yield env.timeout(0)
 
     @property
     def windows(self) -> bool:
@@ -136,6 +165,7 @@ class PlanningModel(Model):
                 else:
                     push = self.world.decide(robot, task, it.number)
                     it.number += 1
+                    it.helped_at = it.iteration
                     self.note("service_end", robot, task, operator, "push" if push else "go_on")
                     if push:
                         it.robot.interrupt()
@@ -152,7 +182,7 @@ class PlanningModel(Model):
                 self.release(operator)
 
     def release(self, operator: Any) -> None:
-        if self.windows:
+        if self.windows or not self.asks:
             self.free.append(operator)
         else:
             self.store.put(operator)
@@ -166,12 +196,62 @@ class PlanningModel(Model):
             self.turns.pop(robot).cancel()
 
 
+class RankingModel(PlanningModel):
+    """The model in which free operators take the robots of highest gain, from 1 on."""
+
+    asks = False
+
+    def __init__(self, config: FleetConfig, world: World) -> None:
+        super().__init__(config, world)
+        self.event = self.env.event()
+        self.env.process(self.serve())
+
+    def note(self, kind: str, *args, **more) -> None:
+        super().note(kind, *args, **more)
+        if kind not in ("bid", "grant"):
+            self.wake()
+
+    def wake(self) -> None:
+        if not self.event.triggered:
+            self.event.succeed()
+
+    def serve(self) -> Process:
+        while True:
+            yield self.event
+            self.event = self.env.event()
+            yield self.env.timeout(0)  # all that happens now has happened
+            found = [(-it.gain, robot) for robot, it in self.tasks.items() if self.may(it)]
+            for _, robot in sorted(found)[: len(self.free)]:
+                it = self.tasks[robot]
+                it.request = self.env.process(self.request(robot, it.task, it.gain, it))
+
+    def may(self, it: Task) -> bool:
+        reaches = not (it.fresh or it.pushing or it.checking)
+        return reaches and it.request is None and it.iteration > it.helped_at and it.gain > 1
+
+    def in_line(self, robot: int, task: int, gain: float, deadline: float) -> Process:
+        self.note("bid", robot, task)
+        self.free.sort()
+        return self.free.pop(0)
+        yield
+
+
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("operators", [1, 2])
 @pytest.mark.parametrize("check_miss", [None, 0.5])
 @pytest.mark.parametrize("policy", POLICIES)
 def test_every_event_matches_the_model(policy, check_miss, operators, seed):
     found = compare(given(policy, seed, check_miss), policy, operators, PlanningModel)
+    outcomes = {(row[1], row[5]) for row in found}
+    assert {("service_end", "push"), ("task_end", "solved")} <= outcomes
+
+
+@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("operators", [1, 2, 3])
+@pytest.mark.parametrize("check_miss", [None, 0.5])
+def test_every_event_of_ranked_robots_matches_the_model(check_miss, operators, seed):
+    with registered(REGISTRY, highest=lambda config: HighestGain()):
+        found = compare(given("highest", seed, check_miss), "highest", operators, RankingModel)
     outcomes = {(row[1], row[5]) for row in found}
     assert {("service_end", "push"), ("task_end", "solved")} <= outcomes
 
