@@ -97,6 +97,36 @@ def test_a_session_replays(closed, tmp_path):
     assert tasks.equals(again)
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [{"while_asking": "plan", "while_served": "plan"}, {"policy": "gain-rate"}],
+    ids=["asking", "ranked"],
+)
+def test_a_session_in_which_robots_plan_on_replays(settings, tmp_path):
+    person = Person(toy(tmp_path / "session", tasks=1, rollout_time=3.0, **settings))
+
+    def planned_on() -> bool:
+        """Whether a robot has iterated while it was served."""
+        served = set()
+        for event in [*person.events]:
+            if event.kind is EventKind.GRANT:
+                served.add(event.robot)
+            elif event.kind is EventKind.SERVICE_END:
+                served.discard(event.robot)
+            elif event.kind is EventKind.ITERATION and event.robot in served:
+                return True
+        return False
+
+    with person:
+        person.take()
+        person.wait(planned_on)
+        person.serve()
+    person.session.recorder.close()
+    said = [given[:2] for given in person.acknowledged]
+    assert answers(read_log(person.journal).events) == said != []
+    assert same(replayed(tmp_path / "session", tmp_path / "replay"), person.events)
+
+
 def test_tables_are_written_at_the_end(closed):
     folder = closed.journal.parent
     assert read_log(folder).path == folder / TABLE
