@@ -84,11 +84,9 @@ class PlannerService:
                 asked.setdefault(id(request.predictor), []).append(i)
         for places in asked.values():
             alike: list[Any] = [requests[i] for i in places]
-            states, predictor = np.stack([request.state for request in alike]), alike[0].predictor
-            times = isinstance(alike[0], PredictTimes)
-            found = predictor.survival(states) if times else predictor.gain(states)
+            found = alike[0].predict(np.stack([request.state for request in alike]))
             for i, value in zip(places, found, strict=True):
-                results[i] = value if times else float(value)
+                results[i] = value
         executions = [(i, r) for i, r in enumerate(requests) if isinstance(r, Execute)]
         executed = execute_all([(execute.world, execute.command) for _, execute in executions])
         for (i, _), result in zip(executions, executed, strict=True):

@@ -76,12 +76,20 @@ class PredictGain(NamedTuple):
     predictor: GainPredictor
     state: np.ndarray  # [S], see `predictors.features`
 
+    def predict(self, states: np.ndarray) -> list[float]:
+        """The results for states [B, S] of this predictor."""
+        return list(map(float, self.predictor.gain(states)))
+
 
 class PredictTimes(NamedTuple):
     """Request for the time that a reach still takes; its result is [2, H]: alone, and helped."""
 
     predictor: TimePredictor
     state: np.ndarray  # [S], see `predictors.features`
+
+    def predict(self, states: np.ndarray) -> list[np.ndarray]:
+        """The results for states [B, S] of this predictor."""
+        return list(self.predictor.survival(states))
 
 
 class Memoised(NamedTuple):
