@@ -12,6 +12,7 @@ import numpy as np
 import predictor_evaluation as ev
 from matplotlib.figure import Figure
 from predictor_data import Data
+from study_rows import estimate, table
 
 from pgf_jax.batching.requests import GainPredictor
 from pgf_jax.files import png
@@ -139,16 +140,6 @@ def draw_calibration(forks: Forks, predictors: Mapping[str, Sequence[GainPredict
     return png(figure)
 
 
-def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def _of(estimate: Mapping[str, float], digits: int = 2) -> str:
-    value, low, high = (f"{estimate[k]:.{digits}f}" for k in ("value", "low", "high"))
-    return f"{value} ({low}..{high})"
-
-
 def _spread(three: Sequence[float], digits: int = 1) -> str:
     mean, low, high = (f"{x:.{digits}f}" for x in three)
     return f"{mean} ({low}..{high})"
@@ -157,7 +148,7 @@ def _spread(three: Sequence[float], digits: int = 1) -> str:
 def readme(content: Mapping[str, Any], files: Sequence[str]) -> str:
     """Text of `checkpoints/README.md`."""
     content = json.loads(json.dumps(content))  # keys become strings, as in figures.json
-    collected = _table(
+    collected = table(
         (
             "data",
             "scenes",
@@ -180,7 +171,7 @@ def readme(content: Mapping[str, Any], files: Sequence[str]) -> str:
             for c in content["collected"]
         ],
     )
-    costs = _table(
+    costs = table(
         (
             "network: class of the test",
             "rows (scenes)",
@@ -201,8 +192,8 @@ def readme(content: Mapping[str, Any], files: Sequence[str]) -> str:
                 _spread(c["mae_seeds"]),
                 f"{c['last'][0]:.1f}",
                 f"{c['mean'][0]:.1f}",
-                _of(c["to_last"]),
-                _of(c["to_mean"]),
+                estimate(c["to_last"]),
+                estimate(c["to_mean"]),
                 f"{c['on_forks'][0]:.1f}, {c['on_forks'][1]:.1f}",
                 f"{c['floor'][0]:.1f}, {c['floor'][1]:.1f}",
             )
@@ -223,9 +214,10 @@ def readme(content: Mapping[str, Any], files: Sequence[str]) -> str:
 
 
 def _gains(name: str, part: Mapping[str, Any]) -> str:
+    mean = estimate(part["mean_gain"], 1)
     head = (
         f"**{name}**: {part['states']} states; the operator pushes at "
-        f"{100 * part['pushes']:.0f} % of them; mean true gain {_of(part['mean_gain'], 1)}; help "
+        f"{100 * part['pushes']:.0f} % of them; mean true gain {mean}; help "
         f"pays (gain above 1) at {100 * part['pays']:.0f} %, harms (below -1) at "
         f"{100 * part['harms']:.0f} %. Regret of choosing by half of the keys, judged by the "
         f"others: "
@@ -237,10 +229,10 @@ def _gains(name: str, part: Mapping[str, Any]) -> str:
         cells = [kind, "" if kind == "random" else _spread(row["rank_correlation"], 2)]
         for m in map(str, SIZES):
             window = row["windows"][m]
-            cells.append(_of(window["hit"]))
-            cells.append(_of(window["regret"], 1))
+            cells.append(estimate(window["hit"]))
+            cells.append(estimate(window["regret"], 1))
         last = row["windows"][str(SIZES[-1])]["to"]
-        cells += [_of(last["random"]), _of(last["paper"])]
+        cells += [estimate(last["random"]), estimate(last["paper"])]
         asking = row.get("bids")
         cells += (
             [
@@ -262,7 +254,7 @@ def _gains(name: str, part: Mapping[str, Any]) -> str:
         "help pays if it asks, if not",
         "mean true gain if it asks, if not",
     ]
-    return head + "\n\n" + _table(headings, rows)
+    return head + "\n\n" + table(headings, rows)
 
 
 _README = """# Checkpoints

@@ -1,7 +1,7 @@
 """The stored rows of the study: reads them, finds fleets, and makes intervals over seeds."""
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import polars as pl
@@ -79,3 +79,14 @@ def text(interval: Interval, digits: int = 1, scale: float = 1.0) -> str:
 def table_row(cells: Iterable[str]) -> str:
     """A row of a Markdown table."""
     return "| " + " | ".join(cells) + " |"
+
+
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table of numbers, the first column of which names the rows."""
+    return "\n".join(map(table_row, [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]))
+
+
+def estimate(of: Mapping[str, float], digits: int = 2, scale: float = 1.0, unit: str = "") -> str:
+    """A stored estimate (`value`, `low`, `high`) as text: `value (low..high)`."""
+    value, low, high = (f"{scale * of[name]:.{digits}f}" for name in ("value", "low", "high"))
+    return f"{value}{unit} ({low}..{high})"

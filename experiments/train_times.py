@@ -11,7 +11,7 @@ of `checkpoints/TIMES.md` come from this script. Intervals are 95 %, by scenes d
 import dataclasses
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ import tyro
 from matplotlib.figure import Figure
 from predictor_data import EVERY, collect
 from predictor_evaluation import Estimate, bootstrap, windows
+from study_rows import estimate, table
 
 from pgf_jax import configure
 from pgf_jax.files import png, write_atomically
@@ -219,22 +220,13 @@ def draw(content: dict) -> bytes:
     for axes, which in zip(figure.subplots(1, 2), ("alone", "helped"), strict=True):
         rows = content[which]["calibration"]
         p = [predicted for predicted, _ in rows]
-        seen = [estimate["value"] for _, estimate in rows]
+        seen = [of["value"] for _, of in rows]
         ends = [[e[end] for _, e in rows] for end in ("low", "high")]
         axes.plot([0, 1], [0, 1], color="0.7")
         axes.vlines(p, *ends, color="C0")
         axes.plot(p, seen, "o", color="C0")
         axes.set(title=which, xlabel=f"predicted: solved within {WITHIN} iterations", ylabel="seen")
     return png(figure)
-
-
-def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [headings, ["---"] * len(headings), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def _estimate(e: dict, digits: int = 2) -> str:
-    return f"{e['value']:.{digits}f} ({e['low']:.{digits}f}..{e['high']:.{digits}f})"
 
 
 def readme(content: dict, files: Sequence[str], scale: float) -> str:
@@ -248,7 +240,7 @@ take, alone and from an operator's answer on. Written, with all figures (`times.
 
     python experiments/train_times.py --scale {scale:g}
 
-{_table(("file", "size", "sha256"), [line.strip("| ").split(" | ") for line in files])}
+{table(("file", "size", "sha256"), [line.strip("| ").split(" | ") for line in files])}
 
 They are discrete-time survival models: the network gives the chance that the reach is solved in the
 iteration that is k from now, if it was not before. Trained on {content["train_states"]} states of
@@ -260,14 +252,14 @@ checked in the solid world.
 Harrell's concordance of the mean time to solution, 95 % by scenes drawn again:
 
 {
-        _table(
+        table(
             ("class", "states", "alone", "helped"),
             [
                 (
                     name,
                     str(alone["concordance"][name][0]),
-                    _estimate(alone["concordance"][name][1]),
-                    _estimate(helped["concordance"][name][1]),
+                    estimate(alone["concordance"][name][1]),
+                    estimate(helped["concordance"][name][1]),
                 )
                 for name in alone["concordance"]
             ],
@@ -279,10 +271,16 @@ Solved within {WITHIN} iterations (30 s), predicted and seen, by tenths of the s
 {alone["brier_of_the_mean"]:.3f}), helped {helped["brier"]:.3f} ({helped["brier_of_the_mean"]:.3f}).
 
 {
-        _table(
+        table(
             ("tenth", "alone: predicted", "seen", "helped: predicted", "seen"),
             [
-                (str(i + 1), percent(a[0]), _percents(a[1]), percent(h[0]), _percents(h[1]))
+                (
+                    str(i + 1),
+                    percent(a[0]),
+                    estimate(a[1], 0, 100, " %"),
+                    percent(h[0]),
+                    estimate(h[1], 0, 100, " %"),
+                )
                 for i, (a, h) in enumerate(
                     zip(alone["calibration"], helped["calibration"], strict=True)
                 )
@@ -295,19 +293,15 @@ best choice, with services of {SERVICE_S:g} s beside which the robot plans on. H
 {content["saved"]:.1f} s in the mean.
 
 {
-        _table(
+        table(
             ("bids by", "regret, s", "as a share of chance's", "as a share of that of `best`"),
             [
-                (name, f"{of['s']:.1f}", _estimate(of["chance"]), _estimate(of["best"]))
+                (name, f"{of['s']:.1f}", estimate(of["chance"]), estimate(of["best"]))
                 for name, of in content["regret"].items()
             ],
         )
     }
 """
-
-
-def _percents(e: dict) -> str:
-    return f"{100 * e['value']:.0f} % ({100 * e['low']:.0f}..{100 * e['high']:.0f})"
 
 
 def main(config: Config) -> None:
