@@ -6,7 +6,8 @@ Fleets of 1, 10, 20 and 30 robots on four sets of scenes, in the solid world. Wh
 stored as a row, and a fleet that has a row is not computed again, so that the study can grow seed
 by seed. Policies and their options are chosen on seeds 100 to 107 (`--tune`), and judged on seeds 0
 to 7. Intervals are 95 % (Student's t), over seeds, of paired differences: the same scenes, the same
-noise and the same service times.
+noise and the same service times. Solved an operator minute is the return on human effort, and
+fan-out how many robots one operator could serve if none waited (`metrics/effort.py`).
 """
 
 import dataclasses
@@ -15,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import polars as pl
-from study_rows import difference, over_seeds, table_row, text
+from study_rows import difference, over_seeds, table, text
 from study_runs import RAW, ROOT, Run, rows_of, script
 
 from pgf_jax import SweepConfig, sweep
@@ -87,20 +88,19 @@ def compute(config: Config, path: Path) -> None:
             {"set": name, **row} for row in rows_of(sweep_config, sweep(sweep_config, quiet=True))
         ]
         rows += [row for row in found if tuple(row[key] for key in KEY) not in there]
-        table = pl.DataFrame(rows, infer_schema_length=None).sort(KEY)
-        write_atomically(path, csv(table))
+        write_atomically(path, csv(pl.DataFrame(rows, infer_schema_length=None).sort(KEY)))
         print(f"{name}, {robots} robots, seeds {seeds}: {', '.join(policies)}", flush=True)
 
 
 def tables(frame: pl.DataFrame) -> str:
     """The tables as Markdown: by set and fleet size, every policy against `BEST`."""
-    lines = []
+    headings = ["robots", "policy", "seeds", "success, %", "planning, s", "in the task, s"]
+    headings += [f"`{BEST}` less it, s", "success, points"]
+    headings += ["utilisation", "solved an operator minute", "fan-out"]
+    parts = []
     for name in dict.fromkeys(frame["set"]):
         of_set = frame.filter(set=name)
-        lines += [f"## {name}", ""]
-        headings = ("robots", "policy", "seeds", "success, %", "planning, s", "in the task, s")
-        headings += (f"`{BEST}` less it, s", "success, points", "utilisation")
-        lines += [table_row(headings), table_row(["---"] * len(headings))]
+        rows = []
         for robots in sorted(set(of_set["robots"])):
             ours = of_set.filter(robots=robots, policy=BEST)
             for policy in dict.fromkeys(of_set.filter(robots=robots)["policy"]):
@@ -115,9 +115,13 @@ def tables(frame: pl.DataFrame) -> str:
                         text(difference(ours, its, "task_time_s")),
                         text(difference(ours, its, "success"), scale=100),
                     ]
-                lines.append(table_row([*cells, text(over_seeds(its, "utilisation"), 2)]))
-        lines.append("")
-    return "\n".join(lines)
+                cells += [
+                    text(over_seeds(its, c), 2)
+                    for c in ("utilisation", "return_on_effort", "fan_out")
+                ]
+                rows.append(cells)
+        parts.append(f"## {name}\n\n{table(headings, rows)}\n")
+    return "\n".join(parts)
 
 
 def main(config: Config) -> None:
