@@ -232,8 +232,8 @@ class RankingModel(PlanningModel):
     def in_line(self, robot: int, task: int, gain: float, deadline: float) -> Process:
         self.note("bid", robot, task)
         self.free.sort()
+        yield from ()  # it need not wait: an operator is free
         return self.free.pop(0)
-        yield
 
 
 @pytest.mark.parametrize("seed", range(6))
