@@ -1,7 +1,8 @@
 """The type `View`: what an operator sees of a robot, and the key of a decision."""
 
 import dataclasses
-from typing import TYPE_CHECKING
+from collections.abc import Hashable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,6 +36,8 @@ class View(OnShelf):
       dropped: pushes since the shelf last changed that the planner could not find.
       place: where trials can be checked, the world in which the robot stands; None: there is none.
       shelf: sizes of the objects, and walls; None: they are standard.
+      imagined: where an operator may keep what follows from the shelf as it stands, whatever the
+        best trajectory (a cache of `Memoised`); None: nothing is kept.
     """
 
     objects: np.ndarray
@@ -50,10 +53,16 @@ class View(OnShelf):
     dropped: int
     place: "Place | None" = None
     shelf: Shelf | None = None
+    imagined: dict[Hashable, Any] | None = dataclasses.field(default=None, repr=False)
 
     @classmethod
     def of(
-        cls, search: "Search", request: int = 0, dropped: int = 0, place: "Place | None" = None
+        cls,
+        search: "Search",
+        request: int = 0,
+        dropped: int = 0,
+        place: "Place | None" = None,
+        imagined: dict[Hashable, Any] | None = None,
     ) -> "View":
         """Make the view of a robot from its search; the places that are empty are not in it."""
         n, places = search.objects, len(search.start.objects)
@@ -72,4 +81,5 @@ class View(OnShelf):
             dropped=dropped,
             place=place,
             shelf=padding.without_empty(search.shelf),
+            imagined=imagined,
         )

@@ -294,10 +294,11 @@ class PlannedRobots:
 
     def _input(self, r: Robot, asked: _Asked, decision_key: DecisionKey) -> requests.Memoised:
         """Request for the input that the operator would give now."""
-        search = asked.node.search
-        view = View.of(search, asked.inputs, asked.dropped, r.checked_at(asked.node))
+        node = asked.node
+        search, place = node.search, r.checked_at(node)
+        view = View.of(search, asked.inputs, asked.dropped, place, node.imagined)
         planner, operator = self.planner_service.planner, self.cache.operator
-        return asked.node.memoised(
+        return node.memoised(
             ("input", asked.inputs),
             lambda: ask_operator(operator, view, search, planner, decision_key),
         )

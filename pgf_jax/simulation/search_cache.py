@@ -30,14 +30,21 @@ class Node:
       search: of the segment that is planned.
       state: of the world in which the robot acts, before the segment; None: there is no world.
       candidates: of the iteration that has just ended, while a check is to come; else None.
+      imagined: what operators have imagined on the shelf as it stands; one for all nodes since the
+        shelf last changed.
     """
 
-    __slots__ = ("_cache", "_children", "candidates", "search", "state")
+    __slots__ = ("_cache", "_children", "candidates", "imagined", "search", "state")
 
     def __init__(
-        self, search: Search, state: State | None = None, candidates: Candidates | None = None
+        self,
+        search: Search,
+        state: State | None = None,
+        candidates: Candidates | None = None,
+        imagined: dict[Hashable, Any] | None = None,
     ) -> None:
         self.search, self.state, self.candidates = search, state, candidates
+        self.imagined: dict[Hashable, Any] = {} if imagined is None else imagined
         self._cache: dict[Hashable, Any] = {}
         self._children: dict[Hashable, Node] = {}
 
@@ -56,7 +63,7 @@ class Node:
           state: of the world after it; None: it is the same.
         """
         if key not in self._children:
-            self._children[key] = Node(make(), state or self.state)
+            self._children[key] = Node(make(), state or self.state, imagined=self.imagined)
         return self._children[key]
 
 
@@ -127,7 +134,7 @@ class SearchCache:
             path = robot_key_path(self.seed, robot, task, iteration)
             (result,) = yield [Step(before, path(0), candidates=wanted)]
             after, candidates = result if wanted else (result, None)
-            return Node(after, state, candidates)
+            return Node(after, state, candidates, node.imagined)
 
         return node.memoised("iteration", iterate)
 
@@ -139,7 +146,7 @@ class SearchCache:
         def check() -> Coroutine:
             after = yield from places.check(planner, place, candidates)
             more = after if after.next is not None else None
-            return Node(after.search(planner), state, more)
+            return Node(after.search(planner), state, more, node.imagined)
 
         return node.memoised("check", check)
 

@@ -304,6 +304,25 @@ def test_the_heuristic_imagines_a_second_push_where_no_first_one_leads_to_a_gras
     assert given == pushes[ends.index(min(ends))] != pushes[first]
 
 
+def test_the_heuristic_imagines_a_push_from_a_shelf_once():
+    on, search = native(), unsolved(2)
+    later = stepped(search, (2, 0, 0, DONE, 0))  # the same shelf, an iteration later
+    operator, imagined, steps = HeuristicOperator(), {}, []
+
+    def asked(reach: Search, kept: dict | None):
+        before = on.steps
+        view = View.of(reach, imagined=kept)
+        given = run(operator.deliberate(view, reach, on.planner, turn(2)), on)
+        steps.append(on.steps - before)
+        return given
+
+    afresh = [asked(reach, None) for reach in (search, later)]
+    assert [asked(reach, imagined) for reach in (search, later)] == afresh
+    # What the trajectories make it look at differs, so a few pushes may be new.
+    assert steps[2] == steps[0] and steps[3] < 0.5 * steps[1]
+    assert [asked(reach, imagined) for reach in (search, later)] == afresh and steps[4:] == [0, 0]
+
+
 def asked(request: int, *, content: bool):
     """What the heuristic says to its `request`th request, of a robot that has done well or not."""
     search = unsolved(0)

@@ -1,5 +1,6 @@
 """The searches that fleets share: what is kept and for how long; nothing is computed twice."""
 
+import itertools
 import types
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -17,6 +18,7 @@ from pgf_jax.batching.scheduler import BatchScheduler
 from pgf_jax.fleet import Fleet, FleetConfig, Work, WorkKind
 from pgf_jax.guidance.predictors.features import STATE
 from pgf_jax.guidance.predictors.true_gain import TrueGain
+from pgf_jax.guidance.view import View
 from pgf_jax.physics.config import Physics
 from pgf_jax.planning.config import Planner
 from pgf_jax.planning.types import Push
@@ -36,9 +38,11 @@ class Watched(Nudge):
 
     def __init__(self) -> None:
         self.asked: list[tuple] = []
+        self.views: list[tuple[tuple, View]] = []  # with the decision
 
     def deliberate(self, view, search, planner, decision_key):
         self.asked.append(decision_key)
+        self.views.append((decision_key, view))
         return self.decide(view)
         yield
 
@@ -137,6 +141,21 @@ def test_what_follows_from_a_node_is_made_once():
     third = after.memoised("x", None)  # pyright: ignore[reportArgumentType]
     assert one.cache is same.cache and one.cache is not third.cache and one.key == "x"
     assert made == ["a", "c", "d"]
+
+
+def test_what_is_imagined_is_kept_until_the_shelf_changes():
+    shared = Shared(NEEDY)
+    shared.run()
+    together, apart = 0, 0
+    for (one, a), (other, b) in itertools.combinations(shared.operator.views, 2):
+        assert a.imagined is not None
+        if a.imagined is b.imagined:
+            assert one[:3] == other[:3]
+            assert (a.hand == b.hand).all() and (a.objects == b.objects).all()
+            together += one[3] != other[3]
+        else:
+            apart += one[:3] == other[:3]
+    assert together and apart  # asked again after an iteration; and after a push
 
 
 class Counts:

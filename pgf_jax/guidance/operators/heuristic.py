@@ -14,11 +14,10 @@ imagine.
 """
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 
-from pgf_jax.batching.requests import Coroutine, gather, robot_key_path
+from pgf_jax.batching.requests import Coroutine, KeyPaths, Memoised, robot_key_path
 from pgf_jax.guidance.geometry import (
     CLOSED,
     OPEN,
@@ -91,7 +90,8 @@ class HeuristicOperator:
         """See `RolloutOperator.deliberate`."""
         # None, going on, comes first: of equals the first is taken.
         inputs: list[Push | None] = [None, *self.ranked(view, SIMULATED)]
-        trials = yield from _imagine(planner, [(search, one) for one in inputs], decision_key)
+        imagine = _Imagination(view, planner, robot_key_path(*decision_key))
+        trials = yield [imagine.trial(search, one) for one in inputs]
         ends = [
             trial.total if trial.pushed or given is None else np.inf
             for trial, given in zip(trials, inputs, strict=True)
@@ -103,9 +103,9 @@ class HeuristicOperator:
                 for i in best
                 for second in self.ranked(View.of(trials[i].reach), SECOND)
             ]
-            deeper = yield from _imagine(
-                planner, [(trials[i].reach, second) for i, second in after], decision_key
-            )
+            deeper = yield [
+                imagine.trial(trials[i].reach, second, after=inputs[i]) for i, second in after
+            ]
             for (i, _), trial in zip(after, deeper, strict=True):
                 if trial.pushed:
                     ends[i] = min(ends[i], trial.total)
@@ -215,22 +215,36 @@ class HeuristicOperator:
         )
 
 
-def _imagine(
-    planner: BatchPlanner,
-    inputs: Sequence[tuple[Search, Push | None]],
-    decision_key: DecisionKey,
-) -> Coroutine:
-    """Simulate inputs without noise, each given to a reach of its own; returns their `Trial`s.
+class _Imagination:
+    """Simulates inputs without noise, each given to a reach of its own.
 
-    Nominals only: no noise is drawn, so the keys do not matter. A reach under way has had its
-    nominal, and is taken as it stands.
+    Nominals only: no noise is drawn, so the keys do not matter, and a push from a shelf gives the
+    same whenever it is imagined. So it is computed once for a shelf, where that is kept.
     """
-    key_paths = robot_key_path(*decision_key)
-    trials = [
-        simulate_input(planner, search, given, key_paths, push_limit=0, reach_limit=0)
-        for search, given in inputs
-    ]
-    return (yield from gather(trials))
+
+    def __init__(self, view: View, planner: BatchPlanner, key_paths: KeyPaths) -> None:
+        self._planner, self._key_paths = planner, key_paths
+        self._cache = {} if view.imagined is None else view.imagined
+
+    def trial(self, search: Search, given: Push | None, after: Push | None = None) -> Memoised:
+        """Request for the `Trial` of an input; `after` is the push that came before it.
+
+        Going on takes a reach under way as it stands, so it is of that reach, not of the shelf.
+        """
+
+        def make() -> Coroutine:
+            # A push that was not found leads nowhere: the reach is kept, so nothing is rolled out.
+            return simulate_input(
+                self._planner,
+                search,
+                given,
+                self._key_paths,
+                push_limit=0,
+                reach_limit=0,
+                keep=True,
+            )
+
+        return Memoised({} if given is None else self._cache, (after, given), make)
 
 
 def candidates(view: View) -> tuple[np.ndarray, np.ndarray]:
