@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Literal
 
 import polars as pl
+import study_report as report
 from rich.console import Console
 from study_points import NAMED, POINTS, Difference, Point, scenes_of
 from study_rows import difference
@@ -202,6 +203,7 @@ def main(config: Config) -> None:
     out = stored(config.preset)
     if not config.draw:
         compute(config, out)
+    print(report.write(out))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,138 @@
+"""The largest fleet that operators serve: tables of the study, from its stored rows alone.
+
+A fleet of R robots counts as served where it is within 5 % of a fully served one, that is of the
+same robots with an operator each, who never wait: the whole 95 % interval of the paired difference
+is. Beside it stand the analytic fan-out (Z + S) / S, with Z the robot's own time between two
+services (Olsen & Wood 2004), and what the machine-repair model M/M/c//R says.
+"""
+
+import math
+
+import polars as pl
+from study_points import EACH, HARD, MAIN, SERVICE_TIMES
+from study_rows import difference, over_seeds, table, text
+from study_tables import TIME, fleets, section
+
+LOSS = 0.05  # accepted, against a fleet that is fully served
+MEASURES = {  # name -> (column, whether more is better)
+    "grasps an hour": ("rate", True),
+    "time in the task": (TIME, False),
+    "planning time": ("planning_time_s", False),
+    "success": ("success", True),
+}
+
+
+def with_rate(rows: pl.DataFrame) -> pl.DataFrame:
+    """Rows with `rate`: tasks solved per hour that robots spend on tasks."""
+    return rows.with_columns(rate=pl.col("solved") / pl.col("robot_hours"))
+
+
+def within(ours: pl.DataFrame, full: pl.DataFrame, measure: str) -> bool:
+    """Whether fleets are within `LOSS` of fully served ones, for certain (95 %)."""
+    column, more = MEASURES[measure]
+    found, reference = difference(ours, full, column), over_seeds(full, column).mean
+    end = -found.low if more else found.high
+    return end <= LOSS * reference
+
+
+def largest(
+    rows: pl.DataFrame, name: str, policy: str, settings: tuple[str, str], measure: str
+) -> str:
+    """The largest fleet that is within the loss, as all smaller ones that were computed are.
+
+    Args:
+      rows: of the study, with `rate`.
+      name: of the set.
+      policy: of both fleets.
+      settings: that of the fleets, and that in which they are fully served.
+      measure: one of `MEASURES`.
+
+    Returns:
+      The size; `N+` where it is the largest of all, `under N` where the smallest is not within.
+    """
+    best, tried = 0, []
+    for robots in sorted(set(rows.filter(set=name, policy=policy)["robots"])):
+        ours, full = (fleets(rows, name, robots, policy, setting) for setting in settings)
+        if len(ours) < 2 or len(full) < 2:
+            continue
+        tried.append(robots)
+        if best == ([0, *tried])[-2] and within(ours, full, measure):
+            best = robots
+    if not tried:
+        return ""
+    if not best:
+        return f"under {tried[0]}"
+    return f"{best}+" if best == tried[-1] else str(best)
+
+
+def cycle(served: pl.DataFrame) -> tuple[float, float]:
+    """Robot time between two services (planning and executing), and time of a service, s."""
+    hours, grants = float(served["robot_hours"].sum()), int(served["grants"].sum())
+    busy = float((served["utilisation"] * served["hours"] * served["operators"]).sum())
+    if not grants:
+        return math.inf, 0.0
+    return 3600 * (hours - busy) / grants, 3600 * busy / grants
+
+
+def waiting_s(robots: int, operators: int, think_s: float, service_s: float) -> float:
+    """Mean time in line of the machine-repair model M/M/c//R, s; all times exponential.
+
+    Robots work for `think_s`, then need one of c operators for `service_s`, in line if none is
+    free. Source: birth and death, as in any textbook of queues.
+    """
+    weights = [1.0]  # of n robots that wait or are served
+    for n in range(robots):
+        rate_up = (robots - n) / think_s
+        rate_down = min(n + 1, operators) / service_s
+        weights.append(weights[-1] * rate_up / rate_down)
+    total = sum(weights)
+    waiting = sum((n - operators) * w for n, w in enumerate(weights) if n > operators) / total
+    served = sum((robots - n) * w for n, w in enumerate(weights)) / total / think_s  # per s
+    return waiting / served
+
+
+def repairable(operators: int, think_s: float, service_s: float) -> int:
+    """The largest fleet whose robots lose at most `LOSS` of their time in line, by that model."""
+    robots = operators
+    while robots < 1000:
+        wait = waiting_s(robots + 1, operators, think_s, service_s)
+        if wait > LOSS * (think_s + service_s):
+            break
+        robots += 1
+    return robots
+
+
+def served(rows: pl.DataFrame) -> str:
+    """The answer: by set, number of operators, service time and policy."""
+    rows = with_rate(rows)
+    each = {"": EACH, "2 operators": EACH, "4 operators": EACH}
+    lines = []
+    for name in (*HARD, "all"):
+        for setting, full in each.items():
+            lines += _lines(rows, name, (setting, full), setting or "1 operator")
+    for mean in SERVICE_TIMES:
+        setting = f"services of {mean:g} s"
+        lines += _lines(rows, "packed", (setting, f"{setting}, {EACH}"), setting)
+    headings = ["set", "setting", "policy", *MEASURES]
+    headings += ["fully served, s", "fan-out by (Z + S) / S", "by the machine-repair model"]
+    return section("How many robots are served", [table(headings, lines) if lines else ""])
+
+
+def _lines(rows: pl.DataFrame, name: str, settings: tuple[str, str], label: str) -> list[list[str]]:
+    lines = []
+    for policy in MAIN:
+        found = [largest(rows, name, policy, settings, measure) for measure in MEASURES]
+        if not any(found):
+            continue
+        full = rows.filter(pl.col("seed") < 100, set=name, policy=policy, setting=settings[1])
+        full = full.filter(robots=full["robots"].max())
+        think_s, service_s = cycle(full)
+        fan_out, model = "-", "-"
+        if service_s:
+            count = int(label.split()[0]) if "operator" in label else 1
+            fan_out = f"{count * (think_s + service_s) / service_s:.1f}"
+            model = str(repairable(count, think_s, service_s))
+        lines.append(
+            [name, label, f"`{policy}`", *found, text(over_seeds(full, TIME)), fan_out, model]
+        )
+    return lines
