@@ -22,7 +22,7 @@ import study_report as report
 from rich.console import Console
 from study_points import NAMED, POINTS, Difference, Point, scenes_of
 from study_rows import difference
-from study_runs import RAW, Run, rows_of, script, stored
+from study_runs import RAW, ROOT, Run, rows_of, script, stored
 
 from pgf_jax import SweepConfig, sweeps
 from pgf_jax.files import write_atomically
@@ -204,6 +204,8 @@ def main(config: Config) -> None:
     if not config.draw:
         compute(config, out)
     print(report.write(out))
+    if config.preset == "full":
+        report.write_text(out, ROOT / "experiments/README.md")
 
 
 if __name__ == "__main__":

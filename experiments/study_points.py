@@ -125,6 +125,7 @@ POINTS = (
     _served("2 operators", 2, HARD, 5, 10, 20),
     _served("4 operators", 4, HARD, 10, 20),
     _served(EACH, 20, HARD, 2, 5, 10, 20),
+    Point("served", "", HARD, ("autonomous",), (20,), range(3)),
     _served("", 1, ("all",), 50, 100),
     _served(EACH, 100, ("all",), 10, 20, 50, 100),
     *(_service(mean) for mean in SERVICE_TIMES),

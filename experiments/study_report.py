@@ -1,12 +1,14 @@
-"""Writes the study's report from its stored rows alone: `study.md`, with every table."""
+"""Writes the study's report from its stored rows alone: every table, and the figures."""
 
 from pathlib import Path
 
+from study_figures import FIGURES
+from study_numbers import fill
 from study_rows import read
 from study_served import served
 from study_tables import TABLES
 
-from pgf_jax.files import write_atomically
+from pgf_jax.files import png, write_atomically
 
 HEAD = """# The study: every table
 
@@ -18,9 +20,21 @@ human effort, and fan-out how many robots one operator could serve if none waite
 
 
 def write(out: Path) -> str:
-    """Write `study.md`, and return it."""
+    """Write `study.md` and the figures of which there are rows, and return the tables."""
     rows = read("study", out).fill_null("")
     parts = [HEAD, served(rows), *(table(rows) for table in TABLES)]
     report = "\n\n".join(part for part in parts if part) + "\n"
     write_atomically(out / "study.md", report.encode())
+    for name, draw in FIGURES.items():
+        figure = draw(rows)
+        if any(axes.has_data() for axes in figure.axes):
+            write_atomically(out / f"study_{name}.png", png(figure))
     return report
+
+
+def write_text(out: Path, readme: Path) -> None:
+    """Write the section of the README whose numbers are looked up, from `study_text.md`."""
+    words = fill(read("study", out).fill_null(""), readme.with_name("study_text.md").read_text())
+    begin, end = (f"<!-- study: {word} -->\n" for word in ("begin", "end"))
+    before, _, rest = readme.read_text().partition(begin)
+    write_atomically(readme, f"{before}{begin}\n{words}\n{end}{rest.partition(end)[2]}".encode())

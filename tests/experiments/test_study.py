@@ -1,16 +1,21 @@
 """What the study computes and says, from rows made up by hand; the study itself is not run here."""
 
-import importlib
 import itertools
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import polars as pl
 import pytest
 import study
+import study_figures
+import study_numbers
+import study_report
 import study_served
 import study_tables
 from study_points import EACH, NAMED, POINTS, Point, scenes_of
+
+from pgf_jax.errors import BadInput
 
 STORED = Path(__file__).parents[2] / "experiments" / "results"
 Fleet = tuple[str, int, str]  # policy, robots, setting
@@ -196,6 +201,49 @@ def test_a_fleet_is_served_where_it_is_as_good_as_one_with_an_operator_each():
     assert largest(rows.filter(policy="pgf")) == ""
 
 
+@pytest.mark.parametrize(
+    ("key", "says"),
+    [
+        ("time: packed, 10, or-hitl", "55.0 (-8.5..118.5)"),
+        ("time: packed, 10, gain-rate less or-hitl", "-9.0 (-21.7..3.7)"),
+        ("success: packed, 10, or-hitl", "50.0 (50.0..50.0)"),
+        ("time: packed (2 operators), 10, or-hitl", "20.0"),
+        ("grasps: packed (2 operators), 10, or-hitl", "180.0"),  # 5 tasks in 5 times 20 s
+        ("seeds: packed, 10, gain-rate", "2"),
+        ("served: packed, or-hitl, time in the task", "10+"),
+    ],
+)
+def test_numbers_in_the_text_are_looked_up(key, says):
+    rows = frame(
+        {
+            ("or-hitl", 10, ""): [50, 60],
+            ("or-hitl", 10, EACH): [50, 60],
+            ("gain-rate", 10, ""): [40, 52],
+            ("or-hitl", 10, "2 operators"): [20],
+        }
+    )
+    assert study_numbers.fill(rows, f"It takes {{{key}}} s.") == f"It takes {says} s."
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["time: packed, 20, pgf", "time: packed", "tiem: packed, 10, pgf", "time: packed, 10, pgf (x)",
+     "served: packed, pgf, success", "seeds: all, 10, pgf", "10"],
+)  # fmt: skip
+def test_a_number_that_is_not_there_is_a_fault(key):
+    with pytest.raises(BadInput, match="which the rows do not have"):
+        study_numbers.fill(frame({("pgf", 10, ""): [50]}), f"{{{key}}}")
+
+
+def test_figures_are_drawn_of_what_there_is():
+    fleets = {("or-hitl", 10, ""): [50, 60], ("gain-rate", 10, ""): [40], ("pgf", 5, EACH): [9, 8]}
+    for name, draw in study_figures.FIGURES.items():
+        figure = draw(frame(fleets))
+        drawn = any(axes.has_data() for axes in figure.axes)
+        assert drawn == (name != "difficulty"), name
+        assert all("(s)" in y or "(%)" in y for ax in figure.axes if (y := ax.get_ylabel()))
+
+
 def test_the_machine_repair_model():
     # One robot never waits; of two the second does while the first is served: by hand.
     assert study_served.waiting_s(1, 1, 30.0, 10.0) == 0
@@ -211,8 +259,13 @@ def test_the_machine_repair_model():
     assert few < 300 / 10 + 1 and many > 4 * few
 
 
-@pytest.mark.skipif(not (STORED / "study.csv").is_file(), reason="no rows are stored yet")
 def test_the_report_comes_from_the_stored_rows(tmp_path):
-    (tmp_path / "study.csv").write_bytes((STORED / "study.csv").read_bytes())
-    importlib.import_module("study_report").write(tmp_path)
-    assert (tmp_path / "study.md").read_bytes() == (STORED / "study.md").read_bytes()
+    """Its tables, its figures, and the numbers in the text of the README."""
+    for name in ("results/study.csv", "README.md", "study_text.md"):
+        shutil.copy(STORED.parent / name, tmp_path)
+    study_report.write(tmp_path)
+    study_report.write_text(tmp_path, tmp_path / "README.md")
+    for name in ("results/study.md", "README.md"):
+        assert (tmp_path / Path(name).name).read_text() == (STORED.parent / name).read_text()
+    drawn = {path.name for path in tmp_path.glob("*.png")}
+    assert drawn == {path.name for path in STORED.glob("study_*.png")} and drawn

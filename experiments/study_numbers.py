@@ -1,0 +1,73 @@
+"""Numbers in the report's text, looked up in the stored rows by keys that stand in the text.
+
+A key is a measure, a set (with a setting in brackets), a fleet size and a policy, or two:
+
+    {time: packed, 10, gain-rate less or-hitl}
+    {success: every (2 operators), 20, pgf}
+    {served: packed, gain-rate, time in the task}
+    {seeds: packed, 10, pgf}
+"""
+
+import re
+
+import polars as pl
+from study_points import EACH
+from study_rows import over_seeds, text
+from study_served import largest, with_rate
+from study_tables import TIME, fleets, less
+
+from pgf_jax.errors import BadInput
+
+MEASURES = {  # name -> (column, digits, scale)
+    "time": (TIME, 1, 1),
+    "planning": ("planning_time_s", 1, 1),
+    "success": ("success", 1, 100),
+    "grasps": ("rate", 1, 1),
+    "utilisation": ("utilisation", 2, 1),
+    "fairness": ("fairness_throughput", 2, 1),
+    "helped": ("helped", 1, 100),
+}
+KEY = re.compile(r"\{([^{}]+)\}")
+
+
+def fill(rows: pl.DataFrame, words: str) -> str:
+    """A text with its numbers.
+
+    Raises:
+      BadInput: a key finds nothing.
+    """
+    rows = with_rate(rows)
+    return KEY.sub(lambda found: number(rows, found[1]), words)
+
+
+def number(rows: pl.DataFrame, key: str) -> str:
+    """What one key stands for, at the precision that is printed.
+
+    Args:
+      rows: of the study, with `rate`.
+      key: see above.
+
+    Raises:
+      BadInput: it finds nothing.
+    """
+    measure, _, rest = key.partition(": ")
+    where, *more = rest.split(", ")
+    name, _, setting = where.removesuffix(")").partition(" (")
+    found = "-"
+    if measure == "served" and len(more) == 2:
+        each = f"{setting}, {EACH}" if setting.startswith("services") else EACH
+        found = largest(rows, name, more[0], (setting, each), more[1]) or "-"
+    elif len(more) == 2 and more[0].isdigit():
+        robots, policies = int(more[0]), tuple(more[1].split(" less "))
+        if measure == "seeds":
+            found = str(len(fleets(rows, name, robots, policies[0], setting)) or "-")
+        elif measure in MEASURES:
+            column, digits, scale = MEASURES[measure]
+            if len(policies) == 2:
+                interval = less(rows, name, robots, policies, column, setting)
+            else:
+                interval = over_seeds(fleets(rows, name, robots, policies[0], setting), column)
+            found = text(interval, digits, scale)
+    if found == "-":
+        raise BadInput(f"the report's text asks for {{{key}}}, which the rows do not have")
+    return found
