@@ -38,7 +38,7 @@ from pgf_jax.training.fit import Trained
 
 NETWORKS = ("time_alone", "time_helped")
 COLLECTIONS = (  # see `predictor_data`
-    ("train", "futures", 6000, 0, (*EVERY, "--keys", "1", "--states", "2")),
+    ("train", "futures", 6000, 0, (*EVERY, "--keys", "1", "--states", "5")),
     ("test", "futures", 1200, 1_000_000, (*EVERY, "--keys", "6", "--states", "1")),
 )
 STEP_S = 2 * FleetConfig().rollout_time_s  # of an iteration

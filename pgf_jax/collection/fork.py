@@ -5,13 +5,16 @@ A scene gives one state, or a few: the robot plans alone, and of its unsolved re
 those with short ones. A scene that is solved before gives none.
 """
 
+import itertools
 import math
 import zlib
+from collections.abc import Hashable
 from typing import Any, NamedTuple
 
+import numpy as np
 import polars as pl
 
-from pgf_jax.batching.places import Place, iterate
+from pgf_jax.batching.places import iterate
 from pgf_jax.batching.requests import (
     Coroutine,
     gather,
@@ -59,35 +62,50 @@ def fork(
       first, last: reach iterations after which a state may be taken.
       states: how many are taken, where there are as many.
       limit_s: the task's limit, to which futures go on, s: the frame then has the columns of
-        futures; None: `LOOK_AHEAD` reach iterations.
+        futures, of which the first without help is what the robot itself does, under its own noise;
+        None: `LOOK_AHEAD` reach iterations.
       world: in which solutions are checked; None: the engine is believed.
     """
     search = planner.begin_reach(start_world(scene.positions), scene.goal, scene.shelf)
-    limit = math.inf if limit_s is None else limit_s / _ROLLOUT_S
+    timed = limit_s is not None
+    limit = limit_s / _ROLLOUT_S if timed else math.inf
     unsolved: list[_State] = []
-    place, spent = None, 0
+    place, spent, done = None, 0, 0
     if world is not None:
         worlds = world.worlds(scene)
         place = worlds.to_act(worlds.start())
-    for i in range(last + 1):
+    for i in itertools.count() if timed else range(last + 1):
+        takes = 2 if i else 1
+        if spent + takes > limit:
+            break
         search, checks = yield from iterate(
             planner, search, robot_key_path(seed, 0, 0, i)(0), place
         )
-        spent += (2 if i else 1) + checks
-        if planner.terminate(search) or spent >= limit:
+        spent, done = spent + takes + checks, i
+        if planner.terminate(search):
             break
-        if i >= first:
-            unsolved.append(_State(search, limit - spent))
+        if first <= i <= last and spent < limit:
+            unsolved.append(_State(search, spent))
+        elif i == last and not unsolved:
+            break
     if not unsolved:
         return None
     draw = stream(seed, "fork-at", zlib.crc32(scene.name.encode()))
     number = min(states, len(unsolved))
     drawn = [unsolved.pop(int(draw.integers(len(unsolved)))) for _ in range(number)]
+    imagined: dict[Hashable, Any] = {}  # the shelf is the same in all of them
+
+    def itself(state: _State) -> Trial:
+        """What the robot does after a state."""
+        steps = done - int(state.search.iteration)
+        cost = float(np.sum(search.value.terms[:3]))
+        total, solved = float(search.value.total), planner.terminate(search)
+        return Trial(cost, total, solved, steps, spent - state.spent, False, search)
 
     def carried_on(state: _State) -> Coroutine:
-        return _carry_on(
-            planner, scene, seed, operator, state, keys, place, timed=limit_s is not None
-        )
+        view = View.of(state.search, place=place, imagined=imagined)
+        own = itself(state) if timed else None
+        return _carry_on(planner, scene, seed, operator, state, view, keys, limit, own)
 
     frames = yield from gather([carried_on(state) for state in drawn])
     return pl.concat(frames)
@@ -95,7 +113,7 @@ def fork(
 
 class _State(NamedTuple):
     search: Search
-    left: float  # of the task's time, in rollouts
+    spent: int  # of the task's time, in rollouts
 
 
 def _carry_on(
@@ -104,19 +122,25 @@ def _carry_on(
     seed: int,
     operator: AnyOperator,
     state: _State,
+    view: View,
     keys: int,
-    place: Place | None,
-    *,
-    timed: bool,
+    limit: float,
+    own: Trial | None,
 ) -> Coroutine:
-    """The futures of one state; returns their frame."""
-    search = state.search
-    decision_key = (seed, 0, 0, int(search.iteration) + 1)
-    push = yield from ask_operator(
-        operator, View.of(search, place=place), search, planner, decision_key
-    )
+    """The futures of one state; returns their frame.
 
-    def futures(given: Any) -> list[Coroutine]:
+    Args:
+      planner, scene, seed, operator, keys: see `fork`.
+      state: to carry on.
+      view: of it.
+      limit: of the task's time, in rollouts.
+      own: what the robot does after it; None: futures go on for `LOOK_AHEAD` iterations.
+    """
+    search, place, timed = state.search, view.place, own is not None
+    decision_key = (seed, 0, 0, int(search.iteration) + 1)
+    push = yield from ask_operator(operator, view, search, planner, decision_key)
+
+    def futures(given: Any, numbers: range) -> list[Coroutine]:
         return [
             simulate_input(
                 planner,
@@ -124,16 +148,18 @@ def _carry_on(
                 given,
                 trial_key_path(*decision_key, key),
                 reach_limit=math.inf if timed else LOOK_AHEAD,
-                rollout_limit=state.left,
+                rollout_limit=limit - state.spent,
                 keep=timed,
                 place=place,
             )
-            for key in range(keys)
+            for key in numbers
         ]
 
     # "Go on" leaves the trajectory as it is: the future without help, key by key.
-    trials = yield from gather(futures(None) + (futures(push) if push is not None else []))
-    alone, helped = trials[:keys], trials[-keys:]
+    without = futures(None, range(int(timed), keys))
+    trials = yield from gather(without + (futures(push, range(keys)) if push is not None else []))
+    alone = ([own] if own is not None else []) + trials[: len(without)]
+    helped = trials[len(without) :] if push is not None else alone
     frame = _frame(scene, seed, search, push is not None, alone, helped)
     if not timed:
         return frame

@@ -294,21 +294,26 @@ def test_a_killed_collection_resumes_to_the_same_bytes(tmp_path):
 
 
 def test_futures_go_on_until_it_is_solved_or_time_is_up(tmp_path):
-    """Of two states of a scene; 24 s are 16 rollouts, of which those before a state are spent."""
+    """Of two states of a scene; 24 s are 16 rollouts, of which those before a state are spent.
+
+    The first future without help is what the robot itself does.
+    """
     config = settings(
-        tmp_path, mode="futures", states=2, keys=1, task_limit=24.0, scenes=3, ask_to=5
+        tmp_path, mode="futures", states=2, keys=2, task_limit=24.0, scenes=3, ask_to=5
     )
     frame = read_futures(collect(config).path)
     assert frame.columns == [*FUTURE_COLUMNS] and len(frame) > 1
-    assert frame.group_by("scene").len()["len"].max() == 2
+    assert frame.group_by("scene").len()["len"].max() == 4
     planner, ends = native().planner, set()
     for row in frame.rows(named=True):
         at = row["iteration"]
         search = course(config, row["seed"])[at]
         left = 16 - (1 + 2 * at)
         push = Aside().decide(View.of(search))
-        key_paths = trial_key_path(row["seed"], 0, 0, at + 1, 0)
+        turn = (row["seed"], 0, 0, at + 1)
         for name, given in (("alone", None), ("helped", push)):
+            own = name == "alone" and row["key"] == 0
+            key_paths = robot_key_path(*turn) if own else trial_key_path(*turn, row["key"])
             coroutine = simulate_input(
                 planner,
                 search,
@@ -320,7 +325,8 @@ def test_futures_go_on_until_it_is_solved_or_time_is_up(tmp_path):
             )
             trial = run(coroutine)
             assert row[f"{name}_s"] == 1.5 * trial.rollouts <= 1.5 * left
-            assert row[f"{name}_solved"] == trial.solved
+            assert row[f"{name}_solved"] == trial.solved and row[name] == trial.cost
+            assert row[f"{name}_iterations"] == trial.iterations
             assert trial.solved or left - trial.rollouts < 2
             ends.add(trial.solved)
     assert ends == {True, False}
