@@ -39,6 +39,7 @@ class Config:
     preset: Literal["quick", "full"] = "full"
     parts: tuple[str, ...] = ()  # of the study; none: all
     sets: tuple[str, ...] = ()  # of scenes; none: all
+    policies: tuple[str, ...] = ()  # none: all
     seeds: tuple[int, ...] = ()  # none: all
     hours: float | None = None  # None: until all is done
     draw: bool = False  # only draw, from the stored rows
@@ -143,6 +144,9 @@ def batches(points: Sequence[Point], config: Config, there: set[Key]) -> list[li
     """The fleets that are lacking; those of a set and a seed are together."""
     found: dict[tuple[int, str], list[Fleets]] = {}
     for point in points:
+        if config.policies:
+            policies = tuple(name for name in point.policies if name in config.policies)
+            point = dataclasses.replace(point, policies=policies)
         for seed, name in itertools.product(point.seeds, point.sets):
             if (config.seeds and seed not in config.seeds) or (
                 config.sets and name not in config.sets
@@ -181,7 +185,8 @@ def compute(config: Config, out: Path) -> None:
     start, rows = time.monotonic(), Rows(out / "study.csv")
     points = [small(point) for point in POINTS] if config.preset == "quick" else list(POINTS)
     points = [point for point in points if not config.parts or point.part in config.parts]
-    everything = config.preset == "full" and not (config.parts or config.sets or config.seeds)
+    some = config.parts or config.sets or config.policies or config.seeds
+    everything = config.preset == "full" and not some
     while True:
         to_do = batches(points, config, rows.keys)
         if not to_do and everything:

@@ -119,7 +119,8 @@ def tables() -> list[Table]:
         Table(
             "futures.parquet",
             "one row for each state and key, with the columns of `forks.parquet`; the futures last "
-            "until the reach is solved or the task's time is up",
+            "until the reach is solved or the task's time is up, and the first without input is "
+            "what the robot itself did",
             _texts({n: c for n, c in FUTURE_COLUMNS.items() if n not in FORK_COLUMNS}),
         ),
     ]

@@ -103,6 +103,8 @@ def test_what_has_no_row_is_computed_once_and_together():
     ]  # fmt: skip
     some = study.batches(points, study.Config(sets=("all",), seeds=(0,)), set())
     assert [{(one.name, one.seed) for one in batch} for batch in some] == [{("all", 0)}]
+    some = study.batches(points, study.Config(policies=("or-hitl",)), set())
+    assert {key[3] for batch in some for one in batch for key in one.named()} == {"or-hitl"}
 
 
 def test_a_named_difference_gets_seeds_until_it_is_decided(tmp_path, monkeypatch):
