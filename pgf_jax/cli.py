@@ -197,6 +197,12 @@ def _console(config: Any) -> None:
     console(config)
 
 
+def _study(config: Any) -> None:
+    from pgf_jax.study.command import study
+
+    study(config)
+
+
 COMMANDS = {
     "scene": Command(
         "check and draw scenes, or sample them into files",
@@ -230,6 +236,11 @@ COMMANDS = {
         "guide a fleet from a browser, in real time",
         "pgf_jax.console.config:ConsoleConfig",
         _console,
+    ),
+    "study": Command(
+        "prepare a study with people",
+        "pgf_jax.study.config:StudyConfig",
+        _study,
     ),
     "collect": Command(
         "plan scenes, or replay sessions, for data to train on",

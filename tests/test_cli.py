@@ -56,7 +56,7 @@ ARGUMENTS = {
     "command": (
         ["plane"],
         "command: expected one of scene, plan, execute, sweep, verify, reproduce, console, "
-        "collect, train, fit-operator, profile, render, got 'plane'",
+        "study, collect, train, fit-operator, profile, render, got 'plane'",
     ),
     "robots": (["console", "--robots", "0"], "--robots: expected a whole number within 1..100"),
     "host": (["console", "--host", "here"], "--host: expected an address such as 127.0.0.1"),
