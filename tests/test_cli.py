@@ -473,7 +473,7 @@ def test_an_option_has_one_text_in_all_commands():
             found.setdefault(field, set()).add(start.removesuffix("."))
     several = {field for field, some in found.items() if len(some) > 1}
     lists = {"lanes"}  # those that profile tries
-    inner = {"config", "folder"}  # no options
+    inner = {"config", "folder", "what"}  # no options
     assert several - inner - lists == OTHER_MEANING | MORE_CHOICES
     # A session is a sweep of one fleet.
     sweeps, sessions = texts("sweep"), texts("console")

@@ -14,8 +14,8 @@ class StudyConfig:
     """Prepare a study with people: what they do, in which order, and what is asked.
 
     Attributes:
-      what: init writes an example that can be changed; check reads the folder, and says who would do
-        what.
+      what: init writes an example that can be changed; check reads the folder, and says who does
+        which blocks.
       folder: of the study.
     """
 
