@@ -26,8 +26,9 @@ from rich.table import Table
 from pgf_jax import Plan, PlanConfig, configure, sample_scene
 from pgf_jax.files import write_figure
 from pgf_jax.metrics.summary import mean_interval, rate_interval
-from pgf_jax.plans.plan import plan_scenes
+from pgf_jax.plans.plan import iter_plans
 from pgf_jax.scene import Scene, Sizes
+from pgf_jax.terminal import Progress
 
 SAVED = ("saved, s", "of what the last saves")
 HEAD = ("operator", "solved", "iterations", "planning, s", *SAVED, "services in, s", *SAVED)
@@ -60,7 +61,8 @@ def main(config: Config) -> None:
     found: dict[str, dict[str, list[Plan]]] = {}
     for name, scenes in sets.items():
         found[name] = {
-            operator: plans(scenes, operator, config) for operator in ("none", *config.operators)
+            operator: plans(scenes, operator, config, f"scenes, {name}, {operator}")
+            for operator in ("none", *config.operators)
         }
         table = Table(title=f"{name}, {config.count} scenes")
         for column in HEAD:
@@ -73,8 +75,11 @@ def main(config: Config) -> None:
         draw(found, config)
 
 
-def plans(scenes: list[Scene], operator: str, config: Config) -> list[Plan]:
-    """Plan the scenes; a scene's number in the list is the seed of its noise."""
+def plans(scenes: list[Scene], operator: str, config: Config, what: str) -> list[Plan]:
+    """Plan the scenes; a scene's number in the list is the seed of its noise.
+
+    `what` is shown with the progress.
+    """
     settings = PlanConfig(
         operator=operator,
         ask="never" if operator == "none" else "after:3",
@@ -84,7 +89,13 @@ def plans(scenes: list[Scene], operator: str, config: Config) -> list[Plan]:
         service_sd=0.0,
         predictor="paper",
     )
-    return plan_scenes([(scene, config.seed + i) for i, scene in enumerate(scenes)], settings)
+    seeded = [(scene, config.seed + i) for i, scene in enumerate(scenes)]
+    done: dict[int, Plan] = {}
+    with Progress(what, every_s=60.0) as progress:
+        for i, plan in iter_plans(seeded, settings):
+            done[i] = plan
+            progress.update(len(done), len(scenes))
+    return [done[i] for i in range(len(scenes))]
 
 
 def times(done: list[Plan]) -> np.ndarray:

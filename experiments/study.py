@@ -121,7 +121,7 @@ class Rows:
         """Compute fleets together, and store their rows."""
         start = time.monotonic()
         runs = [run_of(one, config) for one in fleets]
-        outcomes = sweeps([run.config for run in runs], quiet=True, tables=False)
+        outcomes = sweeps([run.config for run in runs], quiet=False, tables=False)
         for run, outcome in zip(runs, outcomes, strict=True):
             self.rows += [dict(run.labels) | row for row in rows_of(run.config, outcome)]
         frame = pl.DataFrame(self.rows, infer_schema_length=None).sort(KEY)
