@@ -190,16 +190,22 @@ def _console(config: Any) -> None:
     try:
         from pgf_jax.console.command import console
     except ModuleNotFoundError as error:
-        raise BadInput(
-            f"console: needs {error.name}, expected an installation with it: "
-            "pip install 'pgf_jax[console]'"
-        ) from None
+        raise _lacks("console", error) from None
     console(config)
 
 
-def _study(config: Any) -> None:
-    from pgf_jax.study.command import study
+def _lacks(command: str, error: ModuleNotFoundError) -> BadInput:
+    return BadInput(
+        f"{command}: needs {error.name}, expected an installation with it: "
+        "pip install 'pgf_jax[console]'"
+    )
 
+
+def _study(config: Any) -> None:
+    try:
+        from pgf_jax.study.command import study
+    except ModuleNotFoundError as error:
+        raise _lacks("study", error) from None
     study(config)
 
 
@@ -238,7 +244,7 @@ COMMANDS = {
         _console,
     ),
     "study": Command(
-        "prepare a study with people",
+        "conduct a study with people: pages, orders, questionnaires",
         "pgf_jax.study.config:StudyConfig",
         _study,
     ),

@@ -459,6 +459,7 @@ def test_what_none_means_is_said(name):
 
 # Options of one name that mean something else in each command, or have more choices in some.
 OTHER_MEANING = {
+    "host",
     *("json", "log", "out", "patience", "repeats", "resume", "scene", "scenes", "seed"),
     *("speed", "world", "world_error"),
 }

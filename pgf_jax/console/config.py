@@ -180,12 +180,7 @@ class ConsoleConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        try:
-            ipaddress.ip_address(self.host)
-        except ValueError:
-            raise BadInput(
-                f"host: expected an address such as {LOOPBACK} or 0.0.0.0, got {self.host!r}"
-            ) from None
+        check_host(self.host)
         check_choice("operator", self.operator, ["live", "replay", *operator_names()])
         check_policy(self.policy)
         if self.policy == "oracle-gain" and self.operator in ("live", "replay"):
@@ -210,3 +205,13 @@ class ConsoleConfig:
     def needs_token(self) -> bool:
         """Whether other computers can connect."""
         return not ipaddress.ip_address(self.host).is_loopback
+
+
+def check_host(host: str) -> None:
+    """BadInput unless `host` is an address to listen on."""
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        raise BadInput(
+            f"host: expected an address such as {LOOPBACK} or 0.0.0.0, got {host!r}"
+        ) from None

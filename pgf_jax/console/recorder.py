@@ -43,6 +43,11 @@ class SessionRecorder:
         self._journal.append(events[self._written :])
         self._written = len(events)
 
+    def leave(self) -> None:
+        """Write the events, and leave the session as it is, to be resumed."""
+        self.write()
+        self._journal.close()
+
     def close(self) -> CellSummary:
         """Write the tables, and return the summary.
 

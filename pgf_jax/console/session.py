@@ -176,6 +176,19 @@ class Session:
 
         self.ask(act, lambda feedback: None)
 
+    def pause(self, client: int) -> None:
+        """Remove the client that operates, and stop the clock until somebody operates again.
+
+        In simulated time the operator has not been away, so robots do not see it.
+        """
+
+        def act(panel: InputPanel) -> Feedback:
+            if panel.leave(client) and self.clock.running:
+                self.clock.stop()
+            return Feedback("")
+
+        self.ask(act, lambda feedback: None)
+
     def act(
         self, client: int, do: Callable[[InputPanel], Feedback], reply: Callable[[Feedback], None]
     ) -> None:

@@ -1,5 +1,10 @@
 """The command `pgf-jax study`."""
 
+import asyncio
+import contextlib
+import logging
+import signal
+
 from rich.console import Console
 from rich.table import Table
 
@@ -8,6 +13,9 @@ from pgf_jax.study.design import Design, load_design
 from pgf_jax.study.example import write_example
 from pgf_jax.study.orders import balanced_orders
 from pgf_jax.study.progress import steps_of
+from pgf_jax.study.server import StudyServer
+
+LOG = "server.log"
 
 
 def study(config: StudyConfig) -> None:
@@ -19,8 +27,53 @@ def study(config: StudyConfig) -> None:
     if config.what == "init":
         write_example(config.folder)
         print(f"{config.folder}: written; change it, then pgf-jax study check {config.folder}")
-    else:
+    elif config.what == "check":
         _say(load_design(config.folder))
+    else:
+        serve(config)
+
+
+def serve(config: StudyConfig) -> None:
+    """Serve a study until it is interrupted.
+
+    Raises:
+      BadInput: the folder is not that of a study, or the port is not free.
+    """
+    server = StudyServer(load_design(config.folder), config.at_once)
+    _log_to(config)
+
+    def ready(port: int) -> None:
+        """Print the addresses; the tokens are shown here, and kept nowhere."""
+        place = f"http://{config.host}:{port}"
+        print(f"experimenter: {place}/x/{server.key}")
+        for _ in range(config.participants):
+            link = server.add()
+            print(f"participant {len(server.visits)}: {place}{link}")
+        print("Ctrl-C ends it; the same command goes on where it was", flush=True)
+
+    async def run() -> None:
+        running = asyncio.current_task()
+        assert running is not None
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, running.cancel)
+        with contextlib.suppress(asyncio.CancelledError):
+            await server.run(config.host, config.port, ready)
+
+    asyncio.run(run())
+
+
+def _log_to(config: StudyConfig) -> None:
+    """Log what was refused, and what failed, to a file."""
+    file = logging.FileHandler(config.folder / LOG)
+    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    logger = logging.getLogger("pgf_jax")
+    logger.setLevel(logging.INFO)
+    logger.addHandler(file)
+    # A malformed request ends a task of the server, which logs it; a line in the file is enough.
+    for name in ("asyncio", "websockets.server"):
+        other = logging.getLogger(name)
+        other.addHandler(file)
+        other.propagate = False
 
 
 def _say(design: Design) -> None:

@@ -46,7 +46,7 @@ class Blocks:
 
 @dataclasses.dataclass(frozen=True)
 class Practice:
-    """Practice, with a fleet of its own, until enough pushes were executed.
+    """Practice, with other scenes and another policy, until enough pushes were executed.
 
     Attributes:
       robots: of its fleet.
@@ -54,7 +54,7 @@ class Practice:
       seed: of its scenes.
       pushes: that must have been executed.
       minutes: after which it ends anyway.
-      policy: of its fleet; it should ask soon.
+      policy: of its fleet; one that asks often.
     """
 
     robots: Count = 2
@@ -62,7 +62,7 @@ class Practice:
     seed: Seed = 0
     pushes: Index = 3
     minutes: Minutes = 10.0
-    policy: str = "always"
+    policy: str = "random"
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -127,7 +127,8 @@ class Design:
         practice = self.practice
         own = {"robots": practice.robots, "scene_class": practice.scene_class}
         own |= {"policy": practice.policy}
-        return _session(own, seed=practice.seed, horizon=60 * practice.minutes, out=out)
+        shared = {name: value for name, value in self.fleet.items() if name != "scenes"}
+        return _session(shared | own, seed=practice.seed, horizon=60 * practice.minutes, out=out)
 
 
 def _session(settings: dict[str, Any], **ours: Any) -> ConsoleConfig:

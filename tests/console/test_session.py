@@ -582,3 +582,22 @@ def test_the_clock(monkeypatch):
     clock.start()
     wall.now += 0.5
     assert clock.now_ns() == 12 * S
+
+
+def test_a_session_that_is_paused_stands_still_until_somebody_operates(tmp_path):
+    with Person(toy(tmp_path, robots=1, tasks=1, patience=5.0)) as person:
+        person.take()
+        person.wait_for(EventKind.GRANT)
+        person.session.pause(OTHER)  # who does not operate pauses nothing
+        person.act(lambda panel: panel.undo(OTHER), client=OTHER)
+        assert person.session.clock.running
+        person.session.pause(ME)
+        person.act(lambda panel: panel.undo(OTHER), client=OTHER)
+        assert not person.session.clock.running and person.session.panel.operator is None
+        stood, frames = person.session.clock.now_ns(), len(person.frames)
+        person.wait(lambda: len(person.frames) > frames + 2)
+        assert person.session.clock.now_ns() == stood and not person.frames[-1].running
+        assert person.session.panel.pending is not None  # nobody has run out of patience
+        assert person.take(OTHER).ok
+        person.wait(lambda: person.session.clock.now_ns() > stood)
+    assert person.count(EventKind.OPERATOR_AWAY) == 0

@@ -26,7 +26,7 @@ def test_the_example_is_a_study(folder, tmp_path):
     assert (config.policy, config.seed, config.horizon) == ("gain-rate", 1, 300.0)
     assert (config.robots, config.scene_class, config.operator) == (6, "packed", "live")
     practice = design.practice_session(tmp_path / "out")
-    assert (practice.policy, practice.robots, practice.horizon) == ("always", 2, 600.0)
+    assert (practice.policy, practice.robots, practice.horizon) == ("random", 2, 600.0)
 
 
 def test_the_example_says_what_every_entry_is(folder):

@@ -1,0 +1,203 @@
+"""The conversation with a participant, without a network."""
+
+import json
+
+import pytest
+from study_toys import ToyPage, answers, toy_study, wait_for
+
+from pgf_jax.console.session import Session
+from pgf_jax.study.block import TIMING, has_ended
+from pgf_jax.study.progress import Participant, add_participant
+from pgf_jax.study.visit import Turns, Visit
+from pgf_jax.tables.event_log import read_log
+
+
+@pytest.fixture
+def study(tmp_path):
+    return toy_study(tmp_path / "study")
+
+
+def arrive(design, turns=None, folder=None) -> tuple[Visit, ToyPage]:
+    folder = folder or add_participant(design)[0]
+    visit, page = Visit(design, Participant(design, folder), turns or Turns()), ToyPage()
+    visit.attach(page.put)
+    return visit, page
+
+
+def session_of(visit: Visit) -> Session:
+    """The session that runs, once it does."""
+    return wait_for(lambda: visit._runner and visit._runner._session)
+
+
+def done(visit, page, **more) -> None:
+    visit.receive({"type": "done", "step": page.page["step"], **more})
+
+
+def to_practice(visit, page) -> None:
+    done(visit, page)
+    done(visit, page)
+
+
+def test_a_participant_goes_from_consent_to_the_code(study):
+    visit, page = arrive(study)
+    person, kinds = visit.participant, []
+    assert "<h1>Welcome</h1>" in page.page["html"] and page.page["of"] == len(person.steps)
+    while page.page["kind"] != "closing":
+        kind, step = page.page["kind"], page.page["step"]
+        kinds.append(kind)
+        if kind == "questions":
+            done(visit, page, answers=answers()[page.page["heading"]])
+        elif kind == "break":
+            wait_for(lambda: done(visit, page) or page.page["kind"] != "break")
+        elif kind == "text":
+            done(visit, page)
+        wait_for(lambda s=step: page.page["step"] > s)
+    assert kinds == [step.kind for step in person.steps[:-1]]
+    assert page.page["code"] == person.code and person.step == person.steps[-1]
+    sessions = [person.session(step) for step in person.steps if step.kind in ("practice", "block")]
+    assert all(has_ended(folder) for folder in sessions)
+    settings = [read_log(folder).settings or {} for folder in sessions]
+    assert [one["policies"] for one in settings] == [["random"], ["asking"], ["always"]]
+    given = [event["answers"] for event in person.events if "answers" in event]
+    assert len(given) == 4 and given[-1] == answers()["Before you go"]
+    # No condition is named to the participant.
+    assert not any(name in json.dumps(page.of("page")) for name in ("stuck", "asking", "always"))
+    visit.close()
+
+
+def test_a_questionnaire_is_finished_when_it_is_answered(study):
+    visit, page = arrive(study)
+    person = visit.participant
+    place = [step.name for step in person.steps].index("own")
+    for step in range(place):
+        person.finish(step)
+    visit.attach(page.put)
+    items = {item["name"]: item for item in page.page["items"]}
+    assert items["attention"]["options"] == ("red", "green", "blue") and "correct" not in items
+    assert "correct" not in items["attention"]  # what a page is told
+    done(visit, page, answers={"preferred": "the third", "comments": "x" * 5000})
+    assert page.of("problems")[-1]["problems"].keys() == {"preferred", "attention", "comments"}
+    assert person.done == place
+    done(visit, page, answers={"preferred": "the first", "attention": "red"})
+    assert page.page["kind"] == "closing" and not person.events[-2]["attentive"]
+    # The same page once more changes nothing.
+    visit.receive({"type": "done", "step": place, "answers": {}})
+    assert person.done == place + 1
+    visit.close()
+
+
+def test_the_clock_stands_while_the_page_is_lost_and_the_gap_is_recorded(tmp_path):
+    design = toy_study(tmp_path / "study", minutes=0.1, pushes=10_000)
+    visit, page = arrive(design)
+    to_practice(visit, page)
+    wait_for(lambda: page.of("frame") and page.of("frame")[-1]["running"])
+    visit.detach()
+    session = session_of(visit)
+    wait_for(lambda: not session.clock.running)
+    stood = session.clock.now_ns()
+    again = ToyPage()
+    visit.attach(again.put)
+    wait_for(lambda: again.of("frame") and again.of("frame")[-1]["running"])
+    assert {robot["robot"] for robot in again.of("frame")[0]["robots"]} == {0, 1}  # all of it
+    assert session.clock.now_ns() >= stood and session_of(visit) is session
+    again.wait_for("block")
+    kinds = [event["kind"] for event in visit.participant.events]
+    assert kinds == ["connected", "done", "done", "lost", "connected", "done"]
+    visit.close()
+
+
+def test_a_server_that_stops_goes_on_in_the_same_session(tmp_path):
+    design = toy_study(tmp_path / "study", minutes=0.2, pushes=10_000)
+    visit, page = arrive(design)
+    to_practice(visit, page)
+    wait_for(lambda: page.of("frame") and page.of("frame")[-1]["time_s"] > 1)
+    visit.close()
+    folder = visit.participant.session(visit.participant.steps[2])
+    before = read_log(folder).events
+    assert before and not has_ended(folder)
+    again, page = arrive(design, folder=visit.participant.folder)
+    assert page.page["kind"] == "practice"
+    wait_for(lambda: page.of("frame"))
+    assert page.of("frame")[0]["time_s"] >= before[-1].time_ns / 1e9 - 0.1
+    page.wait_for("block")
+    assert read_log(folder).events[: len(before)] == before
+    again.close()
+
+
+def test_one_session_at_a_time(tmp_path):
+    design = toy_study(tmp_path / "study", minutes=0.1, pushes=10_000)
+    turns = Turns(1)
+    (first, one), (second, two) = arrive(design, turns), arrive(design, turns)
+    to_practice(first, one)
+    to_practice(second, two)
+    assert two.messages[-1]["type"] == "queued" and second._runner is None
+    first.detach()  # who is away holds nobody up
+    second.begin()
+    wait_for(lambda: two.of("frame"))
+    first.attach(one.put)
+    assert one.messages[-1]["type"] == "queued"
+    two.wait_for("block", step=3)
+    first.close()
+    second.close()
+
+
+def test_the_experimenter_pauses(tmp_path):
+    design = toy_study(tmp_path / "study", minutes=0.1, pushes=10_000)
+    visit, page = arrive(design)
+    to_practice(visit, page)
+    wait_for(lambda: page.of("frame") and page.of("frame")[-1]["running"])
+    visit.pause(True)
+    assert page.of("paused")
+    wait_for(lambda: not session_of(visit).clock.running)
+    visit.pause(False)
+    page.wait_for("block")
+    visit.close()
+
+
+def test_what_happens_at_the_page_is_recorded(tmp_path):
+    design = toy_study(tmp_path / "study", minutes=0.1, pushes=10_000)
+    visit, page = arrive(design)
+    visit.receive({"type": "timing", "event": "hidden", "client_ms": 5.5})
+    assert visit.participant.events[-1]["event"] == "hidden"
+    to_practice(visit, page)
+    wait_for(lambda: page.of("frame") and page.of("frame")[-1]["served"] is not None)
+    visit.receive({"type": "timing", "event": "shown", "client_ms": 7, "robot": 1, "x": "no"})
+    visit.receive({"type": "act", "do": "go_on", "id": 3})
+    reply = wait_for(lambda: page.of("feedback"))[-1]
+    assert (reply["id"], reply["ok"], reply["answered"]) == (3, True, True)
+    visit.receive({"type": "ping", "t": 12.5})
+    assert page.of("pong")[-1]["t"] == 12.5
+    folder = visit.participant.session(visit.participant.steps[2])
+    (line,) = (folder / TIMING).read_text().splitlines()
+    event = json.loads(line)
+    assert event.pop("server_ms") > 0
+    assert event == {"event": "shown", "client_ms": 7, "robot": 1}
+    visit.close()
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {},
+        {"type": "nonsense"},
+        {"type": "timing", "event": "shown"},
+        {"type": "timing", "event": "nonsense", "client_ms": 1},
+        {"type": "timing", "event": "shown", "client_ms": True},
+    ],
+)
+def test_messages_that_no_page_sends(study, message):
+    visit, _ = arrive(study)
+    with pytest.raises(ValueError, match=r"no|unknown"):
+        visit.receive(message)
+    visit.close()
+
+
+def test_a_session_does_not_end_because_a_page_says_so(study):
+    visit, page = arrive(study)
+    to_practice(visit, page)
+    with pytest.raises(ValueError, match="does not end so"):
+        done(visit, page)
+    with pytest.raises(ValueError, match="no action"):
+        wait_for(lambda: visit._runner)
+        visit.receive({"type": "act", "do": "win", "id": 1})
+    visit.close()

@@ -1,0 +1,91 @@
+"""A study of seconds in a trivial world, and a page that is no browser."""
+
+import functools
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from session_toys import PATIENCE_S  # its import registers what the study names
+
+from pgf_jax.study.design import DESIGN, Design, load_design
+from pgf_jax.study.example import write_example
+
+FLEET = """[fleet]
+robots = 2
+scene_class = "tight"
+engine = "phantom"
+lanes = 4
+rollout_time = 0.1
+world = "none"
+"""
+
+
+def toy_study(folder: Path, minutes: float = 0.05, pushes: int = 0) -> Design:
+    """The example with a fleet that is quickly computed, and short blocks."""
+    write_example(folder)
+    path = folder / DESIGN
+    text = path.read_text()
+    fleet = text[text.index("[fleet]") : text.index("# The conditions")]
+    for old, new in (
+        (fleet, FLEET),
+        ('policy = "or-hitl"', 'policy = "asking"'),
+        ('policy = "gain-rate"', 'policy = "always"'),
+        ("minutes = 5.0", f"minutes = {minutes}"),
+        ("minutes = 10.0", f"minutes = {minutes}"),
+        ("pushes = 3", f"pushes = {pushes}"),
+        ("break_s = 30.0", "break_s = 0.2"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+    return load_design(folder)
+
+
+def wait_for(condition: Callable[[], Any]) -> Any:
+    """Wait until a condition holds; returns its value."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not (found := condition()):
+        assert time.monotonic() < deadline, "nothing happens"
+        time.sleep(0.005)
+    return found
+
+
+class ToyPage:
+    """Keeps what a page would show; `answers` is what it says to questionnaires."""
+
+    def __init__(self) -> None:
+        self.messages: list[Mapping[str, Any]] = []
+
+    def put(self, message: Mapping[str, Any]) -> None:
+        self.messages.append(message)
+
+    def of(self, kind: str) -> list[Mapping[str, Any]]:
+        """The messages of a type."""
+        return [message for message in self.messages if message["type"] == kind]
+
+    @property
+    def page(self) -> Mapping[str, Any]:
+        """The page that is shown."""
+        return self.of("page")[-1]
+
+    def wait_for(self, kind: str, step: int | None = None) -> Mapping[str, Any]:
+        """Wait for a page of a kind, of a step."""
+
+        def there() -> Mapping[str, Any] | None:
+            pages = [page for page in self.of("page") if page["kind"] == kind]
+            fitting = [page for page in pages if step in (None, page["step"])]
+            return fitting[-1] if fitting else None
+
+        return wait_for(there)
+
+
+@functools.cache
+def answers() -> dict[str, dict[str, Any]]:
+    """Answers to the questionnaires of the example, by their headings."""
+    tlx = ("mental_demand", "physical_demand", "temporal_demand", "performance", "effort")
+    return {
+        "How was the work that you have just done?": dict.fromkeys((*tlx, "frustration"), 35),
+        "How was the system?": {f"sus_{i}": 4 for i in range(1, 11)},
+        "Before you go": {"preferred": "the second", "attention": "green"},
+    }
