@@ -6,7 +6,7 @@ from pathlib import Path
 from pgf_jax.errors import BadInput
 from pgf_jax.study.questionnaires import BUILT_IN
 
-EXAMPLE = Path(__file__).parent / "example"
+EXAMPLE = Path(__file__).parent / "template"
 
 
 def write_example(folder: Path) -> None:

@@ -16,7 +16,7 @@ from pgf_jax.files import MIB, read_file
 from pgf_jax.settings import Count, check_fields
 
 LONGEST_TEXT = 4000  # characters of an answer
-BUILT_IN = Path(__file__).parent / "questionnaires"
+BUILT_IN = Path(__file__).parent / "instruments"
 Score = Literal["none", "mean", "sus"]
 
 
