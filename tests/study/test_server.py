@@ -1,56 +1,16 @@
 """The server of a study: over real connections, with a client that is no browser."""
 
 import asyncio
-import contextlib
-import http.client
 import json
-import threading
 import time
 
 import pytest
-from study_toys import toy_study, wait_for
+from study_toys import Served, wait_for
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import ClientConnection
 
 from pgf_jax.study import server as module
 from pgf_jax.study.server import FILES, StudyServer
-
-
-class Served:
-    """A study that is served in a thread."""
-
-    def __init__(self, folder) -> None:
-        self.server = StudyServer(toy_study(folder))
-        self.port = 0
-        self._loop = asyncio.new_event_loop()
-        self._task: asyncio.Task | None = None
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-        wait_for(lambda: self.port)
-
-    def _run(self) -> None:
-        async def run() -> None:
-            self._task = asyncio.current_task()
-            await self.server.run("127.0.0.1", 0, lambda port: setattr(self, "port", port))
-
-        with contextlib.suppress(asyncio.CancelledError):
-            self._loop.run_until_complete(run())
-
-    def stop(self) -> None:
-        assert self._task is not None
-        self._loop.call_soon_threadsafe(self._task.cancel)
-        self._thread.join(30)
-        assert not self._thread.is_alive()
-
-    def get(self, path: str, **headers: str) -> tuple[int, str]:
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
-        connection.request("GET", path, headers=headers)
-        response = connection.getresponse()
-        assert response.headers["Content-Security-Policy"].startswith("default-src 'self'")
-        return response.status, response.read().decode()
-
-    def connect(self, path: str, **how) -> ClientConnection:
-        return connect(f"ws://127.0.0.1:{self.port}{path}", **how)
 
 
 @pytest.fixture

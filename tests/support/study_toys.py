@@ -1,15 +1,21 @@
-"""A study of seconds in a trivial world, and a page that is no browser."""
+"""A study of seconds in a trivial world, served or not, and a page that is no browser."""
 
+import asyncio
+import contextlib
 import functools
+import http.client
+import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from session_toys import PATIENCE_S  # its import registers what the study names
+from websockets.sync.client import ClientConnection, connect
 
 from pgf_jax.study.design import DESIGN, Design, load_design
 from pgf_jax.study.example import write_example
+from pgf_jax.study.server import StudyServer
 
 FLEET = """[fleet]
 robots = 2
@@ -89,3 +95,40 @@ def answers() -> dict[str, dict[str, Any]]:
         "How was the system?": {f"sus_{i}": 4 for i in range(1, 11)},
         "Before you go": {"preferred": "the second", "attention": "green"},
     }
+
+
+class Served:
+    """A study that is served in a thread."""
+
+    def __init__(self, folder: Path, minutes: float = 0.05) -> None:
+        self.server = StudyServer(toy_study(folder, minutes))
+        self.port = 0
+        self._loop = asyncio.new_event_loop()
+        self._task: asyncio.Task | None = None
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+        wait_for(lambda: self.port)
+
+    def _run(self) -> None:
+        async def run() -> None:
+            self._task = asyncio.current_task()
+            await self.server.run("127.0.0.1", 0, lambda port: setattr(self, "port", port))
+
+        with contextlib.suppress(asyncio.CancelledError):
+            self._loop.run_until_complete(run())
+
+    def stop(self) -> None:
+        assert self._task is not None
+        self._loop.call_soon_threadsafe(self._task.cancel)
+        self._thread.join(30)
+        assert not self._thread.is_alive()
+
+    def get(self, path: str, **headers: str) -> tuple[int, str]:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
+        connection.request("GET", path, headers=headers)
+        response = connection.getresponse()
+        assert response.headers["Content-Security-Policy"].startswith("default-src 'self'")
+        return response.status, response.read().decode()
+
+    def connect(self, path: str, **how) -> ClientConnection:
+        return connect(f"ws://127.0.0.1:{self.port}{path}", **how)

@@ -97,7 +97,7 @@ function form(message) {
   message.items.forEach((item) => {
     const set = element("fieldset", "", { "data-name": item.name });
     set.append(element("legend", item.text));
-    if (item.kind === "scale") set.append(scale(item));
+    if (item.kind === "scale") set.append((item.most - item.least) / item.step > 10 ? scale(item) : steps(item));
     else if (item.kind === "choice") item.options.forEach((option) => {
       const label = element("label");
       label.append(element("input", "", { type: "radio", name: item.name, value: option }), ` ${option}`);
@@ -116,11 +116,25 @@ function form(message) {
   return [made];
 }
 
+// A scale of few steps: a button for each.
+function steps(item) {
+  const made = element("div", "", { class: "steps" });
+  made.append(element("span", item.low));
+  for (let value = item.least; value <= item.most; value += item.step) {
+    const label = element("label");
+    label.append(element("input", "", { type: "radio", name: item.name, value }), String(value));
+    made.append(label);
+  }
+  made.append(element("span", item.high));
+  return made;
+}
+
 // A scale has no value until it is touched, so that its middle is nobody's answer by default.
 function scale(item) {
   const made = element("div", "", { class: "scale unset" });
   const input = element("input", "", { type: "range", name: item.name, min: item.least,
     max: item.most, step: item.step, "aria-label": item.text });
+  input.value = (item.least + item.most) / 2;
   const value = element("output", "–");
   const set = () => { made.classList.remove("unset"); value.textContent = input.value; };
   input.addEventListener("input", set);
@@ -134,11 +148,11 @@ function answers(made, items) {
   const found = {};
   items.forEach((item) => {
     const inputs = [...made.querySelectorAll(`[name="${item.name}"]`)];
-    if (item.kind === "scale") {
+    if (inputs[0].type === "range") {
       if (!inputs[0].parentElement.classList.contains("unset")) found[item.name] = Number(inputs[0].value);
-    } else if (item.kind === "choice") {
+    } else if (inputs[0].type === "radio") {
       const chosen = inputs.find((input) => input.checked);
-      if (chosen) found[item.name] = chosen.value;
+      if (chosen) found[item.name] = item.kind === "scale" ? Number(chosen.value) : chosen.value;
     } else if (inputs[0].value) found[item.name] = inputs[0].value;
   });
   return found;
