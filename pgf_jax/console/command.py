@@ -1,6 +1,5 @@
 """The command `pgf-jax console`: runs a session with its page until the tasks are done."""
 
-import logging
 import signal
 import statistics
 import threading
@@ -8,10 +7,10 @@ import time
 from pathlib import Path
 
 from rich.console import Console
-from rich.logging import RichHandler
 
 from pgf_jax.console.access_control import AccessControl
 from pgf_jax.console.config import ConsoleConfig
+from pgf_jax.console.log_file import log_to
 from pgf_jax.console.page import Page
 from pgf_jax.console.session import Session
 from pgf_jax.console.session_spec import SessionSpec
@@ -46,7 +45,7 @@ def console(config: ConsoleConfig) -> CellSummary:
     )
     try:
         session = Session(spec, page.show)
-        _log_to(config.out / LOG)
+        log_to(config.out / LOG, "pgf_jax.console", terminal=True)
         _say(page, access, config)
         page.open(session)
         _stop_on_signals(session)
@@ -75,22 +74,6 @@ def _conclude(session: Session, out: Path, summary: CellSummary) -> None:
         f"{len(seconds)} answers{took}; the clock waited {session.clock.held_s:.1f} s for the "
         f"computer; results in {out}"
     )
-
-
-def _log_to(path: Path) -> None:
-    """Log what clients do to a file, and what was refused to the terminal too."""
-    logger = logging.getLogger("pgf_jax.console")
-    logger.setLevel(logging.INFO)
-    file = logging.FileHandler(path)
-    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    shown = RichHandler(level=logging.WARNING, console=Console(stderr=True), show_path=False)
-    for handler in (file, shown):
-        logger.addHandler(handler)
-    # A malformed message ends a task of the server, which logs it; a line in the file is enough.
-    for name in ("asyncio", "websockets.server"):
-        other = logging.getLogger(name)
-        other.addHandler(file)
-        other.propagate = False
 
 
 def _stop_on_signals(session: Session) -> None:

@@ -2,12 +2,12 @@
 
 import asyncio
 import contextlib
-import logging
 import signal
 
 from rich.console import Console
 from rich.table import Table
 
+from pgf_jax.console.log_file import log_to
 from pgf_jax.study.config import StudyConfig
 from pgf_jax.study.design import Design, load_design
 from pgf_jax.study.example import write_example
@@ -40,7 +40,7 @@ def serve(config: StudyConfig) -> None:
       BadInput: the folder is not that of a study, or the port is not free.
     """
     server = StudyServer(load_design(config.folder), config.at_once)
-    _log_to(config)
+    log_to(config.folder / LOG, "pgf_jax")
 
     def ready(port: int) -> None:
         """Print the addresses; the tokens are shown here, and kept nowhere."""
@@ -60,20 +60,6 @@ def serve(config: StudyConfig) -> None:
             await server.run(config.host, config.port, ready)
 
     asyncio.run(run())
-
-
-def _log_to(config: StudyConfig) -> None:
-    """Log what was refused, and what failed, to a file."""
-    file = logging.FileHandler(config.folder / LOG)
-    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    logger = logging.getLogger("pgf_jax")
-    logger.setLevel(logging.INFO)
-    logger.addHandler(file)
-    # A malformed request ends a task of the server, which logs it; a line in the file is enough.
-    for name in ("asyncio", "websockets.server"):
-        other = logging.getLogger(name)
-        other.addHandler(file)
-        other.propagate = False
 
 
 def _say(design: Design) -> None:
