@@ -82,6 +82,7 @@ ENOUGH = {
     "reproduce": ["x"],
     "train": ["--data", "x", "--out", "y"],
     "fit-operator": ["--log", "x"],
+    "study": ["check", "x"],
     "render": ["plan", "x.plan.json", "--out", "x.png"],
 }
 

@@ -72,10 +72,18 @@ def simulated(monkeypatch):
 
 
 def said(operator, view: View, decision_key=DECISION):
-    """What an operator says that asks for no rollouts."""
-    with pytest.raises(StopIteration) as end:
-        next(operator.deliberate(view, None, None, decision_key))
-    return end.value.value
+    """What an operator says whose trials ask for no rollouts."""
+    return _run(operator.deliberate(view, None, None, decision_key))
+
+
+def _run(coroutine):
+    answers = None
+    while True:
+        try:
+            requests = coroutine.send(answers)
+        except StopIteration as end:
+            return end.value
+        answers = [_run(request.make()) for request in requests]
 
 
 @pytest.mark.parametrize("preset", ["tight", "medium", "wide"])
