@@ -7,6 +7,7 @@ import polars as pl
 from figure6_report import legend_below
 from matplotlib.figure import Figure
 from study_rows import POLICIES, difference, fleets, over_seeds, read, table_row, text
+from study_served import cycle
 
 from pgf_jax.files import png, write_atomically
 from pgf_jax.metrics.summary import Interval
@@ -191,7 +192,7 @@ def _fan_out(rows: Rows) -> str:
             full = {r: rows.cell(*each, policy, r) for r in cells}
             reference = full[max(full)]
             largest = {name: _largest(cells, full, name) for name in ("success", "rate")}
-            think, service = _cycle(reference)
+            think, service = cycle(reference)
             knee = (think + service) / service if service else math.inf
             lines.append(
                 [
@@ -223,15 +224,6 @@ def _largest(cells: dict, full: dict, value: str) -> str:
             return f"under {robots}" if best is None else str(best)
         best = robots
     return f"{best}+"
-
-
-def _cycle(served: pl.DataFrame) -> tuple[float, float]:
-    """Robot time between two services (planning and executing), and time of a service, s."""
-    hours, grants = float(served["robot_hours"].sum()), int(served["grants"].sum())
-    busy = float((served["utilisation"] * served["hours"] * served["operators"]).sum())
-    if not grants:
-        return math.inf, 0.0
-    return 3600 * (hours - busy) / grants, 3600 * busy / grants
 
 
 def _policies(rows: Rows) -> str:

@@ -49,6 +49,9 @@ class BlockRunner:
       tell: called, in other threads, with each message for the page.
       on_end: called, in the session's thread, when it has ended by itself.
       pushes: that end it once they were executed (practice); None: its horizon does.
+
+    Attributes:
+      failed: it has ended by a fault; what was recorded is kept.
     """
 
     def __init__(
@@ -59,6 +62,7 @@ class BlockRunner:
         pushes: int | None = None,
     ) -> None:
         self._config, self._tell, self._on_end, self._pushes = config, tell, on_end, pushes
+        self.failed = False
         self._session: Session | None = None
         self._wanted = False  # somebody is there
         self._stopping = False
@@ -74,6 +78,8 @@ class BlockRunner:
     def take(self) -> None:
         """The participant is there: the clock runs."""
         with self._lock:
+            if self._wanted:
+                return
             self._wanted, self._sent = True, {}
             if self._session is not None:
                 self._session.take(CLIENT, lambda feedback: None)
@@ -134,9 +140,10 @@ class BlockRunner:
         try:
             if not has_ended(self._config.out):
                 self._run_session()
-        except Exception as error:
+        except Exception:
             log.exception("a block failed")
-            self._tell({"type": "failed", "text": str(error)})
+            self.failed = True
+            self._tell({"type": "failed"})
             return
         finally:
             with self._lock:

@@ -92,6 +92,8 @@ class Visit:
         with self._lock:
             self._send = send
             self.participant.note("connected")
+            if self._runner is not None and self._runner.failed:
+                self._runner = None  # once more, for whoever comes back
             self._show()
 
     def detach(self) -> None:
@@ -251,6 +253,9 @@ class Visit:
         with self._lock:
             step, number = self.participant.step, self.participant.done
             if step is None or step.kind not in ("practice", "block") or self._send is None:
+                return
+            if self._runner is not None and self._runner.failed:
+                self._turns.leave(self.participant.number)
                 return
             if not self._turns.enter(self.participant.number):
                 self._tell({"type": "queued"})

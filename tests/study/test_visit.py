@@ -6,6 +6,7 @@ import pytest
 from study_toys import ToyPage, answers, toy_study, wait_for
 
 from pgf_jax.console.session import Session
+from pgf_jax.study import block
 from pgf_jax.study.block import TIMING, has_ended
 from pgf_jax.study.progress import Participant, add_participant
 from pgf_jax.study.visit import Turns, Visit
@@ -139,6 +140,41 @@ def test_one_session_at_a_time(tmp_path):
     two.wait_for("block", step=3)
     first.close()
     second.close()
+
+
+def test_a_session_that_fails_holds_nobody_up_and_is_tried_again(tmp_path, monkeypatch):
+    design, turns = toy_study(tmp_path / "study", minutes=0.1, pushes=10_000), Turns(1)
+    visit, page = arrive(design, turns)
+
+    def fail(config):
+        raise RuntimeError("a secret")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(block.SessionSpec, "load", fail)
+        to_practice(visit, page)
+        wait_for(lambda: page.of("failed"))
+    assert "secret" not in json.dumps(page.messages)
+    visit.begin()
+    assert turns.enter(99)  # somebody else may
+    turns.leave(99)
+    visit.detach()
+    visit.attach(page.put)
+    page.wait_for("block")
+    visit.close()
+
+
+def test_who_is_there_already_is_not_shown_everything_again(tmp_path):
+    visit, page = arrive(toy_study(tmp_path / "study", minutes=0.1, pushes=10_000))
+    to_practice(visit, page)
+    runner = wait_for(lambda: visit._runner)
+    wait_for(lambda: page.of("frame") and page.of("frame")[-1]["running"])
+    sent = runner._sent
+    visit.begin()  # as the server does from time to time
+    assert runner._sent is sent and sent
+    visit.detach()
+    visit.attach(page.put)
+    assert runner._sent is not sent
+    visit.close()
 
 
 def test_the_experimenter_pauses(tmp_path):
