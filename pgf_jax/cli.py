@@ -202,8 +202,11 @@ def _lacks(command: str, error: ModuleNotFoundError) -> BadInput:
 
 
 def _study(config: Any) -> None:
+    from pgf_jax.study.command import load_server, study
+
     try:
-        from pgf_jax.study.command import study
+        if config.what == "serve":
+            load_server()
     except ModuleNotFoundError as error:
         raise _lacks("study", error) from None
     study(config)

@@ -460,7 +460,7 @@ def test_what_none_means_is_said(name):
 # Options of one name that mean something else in each command, or have more choices in some.
 OTHER_MEANING = {
     "host",
-    *("json", "log", "out", "patience", "repeats", "resume", "scene", "scenes", "seed"),
+    *("json", "log", "out", "patience", "policies", "repeats", "resume", "scene", "scenes", "seed"),
     *("speed", "world", "world_error"),
 }
 MORE_CHOICES = {"operator", "policy", "predictor", "robot", "robots", "scene_class", "task"}

@@ -36,11 +36,13 @@ class Picked:
     """The push that the operator has picked so far.
 
     Attributes:
-      robot: that is served.
+      robot, task, request: the service.
       object, target, problem: see `InputPanel`.
     """
 
     robot: int
+    task: int
+    request: int
     object: int | None
     target: tuple[float, float] | None
     problem: str
@@ -320,7 +322,7 @@ class Session:
             return
         self._frame_at = now + FRAME_S
         panel, request = self.panel, self.panel.pending
-        picked = request and Picked(request.robot, panel.object, panel.target, panel.problem)
+        picked = request and Picked(*request.service, panel.object, panel.target, panel.problem)
         # Where the clock was set back, what is shown waits for it.
         time_ns = max(self.clock.now_ns(), self.runner.fleet.now_ns, self._shown_ns)
         self._shown_ns = time_ns

@@ -187,6 +187,8 @@ class BlockRunner:
             "running": frame.running,
             "robots": robots,
             "served": None if picked is None else picked.robot,
+            "task": None if picked is None else picked.task,
+            "request": None if picked is None else picked.request,
             "object": None if picked is None else picked.object,
             "target": None if picked is None else picked.target,
             "problem": "" if picked is None else picked.problem,

@@ -3,19 +3,25 @@
 import asyncio
 import contextlib
 import signal
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table
 
-from pgf_jax.console.log_file import log_to
+from pgf_jax.errors import BadInput
 from pgf_jax.study.config import StudyConfig
 from pgf_jax.study.design import Design, load_design
 from pgf_jax.study.example import write_example
 from pgf_jax.study.orders import balanced_orders
 from pgf_jax.study.progress import steps_of
-from pgf_jax.study.server import StudyServer
+
+if TYPE_CHECKING:
+    from pgf_jax.study.server import StudyServer
 
 LOG = "server.log"
+_SIMULATED = 8  # participants, unless it is said how many
 
 
 def study(config: StudyConfig) -> None:
@@ -27,19 +33,34 @@ def study(config: StudyConfig) -> None:
     if config.what == "init":
         write_example(config.folder)
         print(f"{config.folder}: written; change it, then pgf-jax study check {config.folder}")
-    elif config.what == "check":
-        _say(load_design(config.folder))
-    else:
-        serve(config)
+        return
+    does = {
+        "check": _check,
+        "size": _size,
+        "serve": serve,
+        "export": _export,
+        "analyse": _analyse,
+        "what-if": _what_if,
+    }
+    does[config.what](config, load_design(config.folder))
 
 
-def serve(config: StudyConfig) -> None:
+def load_server() -> "type[StudyServer]":
+    """Import the server, which needs the extra `console`; ModuleNotFoundError without it."""
+    from pgf_jax.study.server import StudyServer
+
+    return StudyServer
+
+
+def serve(config: StudyConfig, design: Design) -> None:
     """Serve a study until it is interrupted.
 
     Raises:
-      BadInput: the folder is not that of a study, or the port is not free.
+      BadInput: the port is not free.
     """
-    server = StudyServer(load_design(config.folder), config.at_once)
+    from pgf_jax.console.log_file import log_to
+
+    server = load_server()(design, config.at_once)
     log_to(config.folder / LOG, "pgf_jax")
 
     def ready(port: int) -> None:
@@ -62,7 +83,7 @@ def serve(config: StudyConfig) -> None:
     asyncio.run(run())
 
 
-def _say(design: Design) -> None:
+def _check(config: StudyConfig, design: Design) -> None:
     """Print the orders, and how many participants balance them."""
     conditions, console = list(design.conditions), Console()
     orders = len(balanced_orders(len(conditions)))
@@ -78,3 +99,62 @@ def _say(design: Design) -> None:
         f"{orders} participants balance the orders, {orders * len(conditions)} the scenes too; "
         f"{design.title!r} is in order"
     )
+
+
+def _size(config: StudyConfig, design: Design) -> None:
+    from pgf_jax import jax_setup
+    from pgf_jax.study import sample_size
+
+    jax_setup.configure()
+    participants = config.participants or _SIMULATED
+    if participants < 2 or len(design.conditions) < 2:
+        raise BadInput("participants: expected two or more, in a study of two or more conditions")
+    blocks = participants * len(design.conditions)
+    with _progress() as say:
+        found = sample_size.sample_size(
+            design, participants, lambda done: say(f"{done} of {blocks} blocks have ended")
+        )
+    sample_size.show(found, participants)
+
+
+def _export(config: StudyConfig, design: Design) -> None:
+    from pgf_jax.study.export import export
+
+    out = config.out or config.folder / "export"
+    tables = export(design, out)
+    rows = ", ".join(f"{len(frame)} {name}" for name, frame in tables.items())
+    print(f"{out}: {rows}")
+
+
+def _analyse(config: StudyConfig, design: Design) -> None:
+    from pgf_jax.study import analysis_report
+    from pgf_jax.study.analysis import analyse
+    from pgf_jax.study.records import read_people
+
+    found = analyse(design, read_people(design))
+    if not found.participants:
+        raise BadInput(f"{config.folder}: no participant has done all blocks yet")
+    out = config.out or config.folder / "analysis"
+    analysis_report.show(design, found)
+    analysis_report.write(design, found, out)
+    print(f"{out}: written")
+
+
+def _what_if(config: StudyConfig, design: Design) -> None:
+    from pgf_jax import jax_setup
+    from pgf_jax.study import what_if
+    from pgf_jax.study.records import read_people
+
+    jax_setup.configure()
+    with _progress() as say:
+        found = what_if.what_if(design, read_people(design), config.policies, say)
+    what_if.show(found)
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator[Any]:
+    """A function that shows what has been done so far, on standard error."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+        task = shown.add_task("", total=None)
+        yield lambda text: shown.update(task, description=text)

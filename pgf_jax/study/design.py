@@ -84,6 +84,24 @@ class Questions:
         check_fields(self)
 
 
+@dataclasses.dataclass(frozen=True)
+class Dataset:
+    """What an exported data set says of itself.
+
+    Attributes:
+      description: what was studied, in a sentence or more.
+      authors: their names.
+      license: of the data, as a name or an address.
+    """
+
+    description: str = "A study of one person who helps a fleet of robots that plan reaches."
+    authors: tuple[str, ...] = ()
+    license: str = ""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Design:
     """A study as its folder describes it.
@@ -93,7 +111,7 @@ class Design:
       title: shown to participants.
       fleet: settings of `pgf-jax console` that all conditions share.
       conditions: name -> the settings that are its own.
-      blocks, practice, questions: see there.
+      blocks, practice, questions, dataset: see there.
       texts: name -> Markdown; see `TEXTS`.
       questionnaires: name -> questionnaire, of all that are asked.
     """
@@ -105,12 +123,18 @@ class Design:
     blocks: Blocks
     practice: Practice
     questions: Questions
+    dataset: Dataset
     texts: Mapping[str, str]
     questionnaires: Mapping[str, Questionnaire]
 
     def blocks_of(self, participant: int) -> tuple[Block, ...]:
         """The blocks of a participant (from 0); see `orders.blocks_of`."""
         return blocks_of(participant, len(self.conditions))
+
+    def policy(self, condition: str) -> str:
+        """The policy of a condition."""
+        settings = dict(self.fleet) | dict(self.conditions[condition])
+        return settings.get("policy", ConsoleConfig().policy)
 
     def session(self, block: Block, out: Path) -> ConsoleConfig:
         """The settings of the session of a block."""
@@ -144,7 +168,13 @@ def load_design(folder: Path) -> Design:
     """
     path = folder / DESIGN
     content = read_toml(path, "a study")
-    known = ("version", "title", "fleet", "conditions", "blocks", "practice", "questions")
+    parts_of = {
+        "blocks": Blocks,
+        "practice": Practice,
+        "questions": Questions,
+        "dataset": Dataset,
+    }
+    known = ("version", "title", "fleet", "conditions", *parts_of)
     for name in content:
         if name not in known:
             raise BadInput(f"{path}: {name}: no such entry, expected one of {', '.join(known)}")
@@ -160,7 +190,7 @@ def load_design(folder: Path) -> Design:
     if not conditions:
         raise BadInput(f"{path}: conditions: expected one or more, as [conditions.NAME]")
     parts: dict[str, Any] = {}
-    for name, kind in (("blocks", Blocks), ("practice", Practice), ("questions", Questions)):
+    for name, kind in parts_of.items():
         table = _table(path, name, content.get(name, {}))
         try:
             parts[name] = kind(**table)

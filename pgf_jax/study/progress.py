@@ -55,8 +55,8 @@ def steps_of(design: Design, blocks: tuple[Block, ...]) -> tuple[Step, ...]:
     return (*steps, Step("closing", "closing"))
 
 
-class Participant:
-    """One participant: the blocks, the steps, and how far they have come.
+class Progress:
+    """How far a participant has come: the blocks, the steps, and what has happened.
 
     Attributes:
       folder: of what is recorded.
@@ -65,6 +65,7 @@ class Participant:
       code: shown at the end, to be paid by.
       done: how many steps are done.
       events: of the journal, in order.
+      size: of the journal that could be read, bytes: its last line may be cut off.
     """
 
     def __init__(self, design: Design, folder: Path) -> None:
@@ -86,25 +87,38 @@ class Participant:
                 "conditions cannot be changed once there are participants"
             )
         self.steps = steps_of(design, self.blocks)
-        self.events, size = _read(folder / JOURNAL)
+        self.events, self.size = _read(folder / JOURNAL)
         self.done = sum(event["kind"] == "done" for event in self.events)
-        self._file = os.open(
-            folder / JOURNAL, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600
-        )
-        os.ftruncate(self._file, size)  # without a line that was cut off
 
     @property
     def step(self) -> Step | None:
         """The step to be done; None: all are."""
         return self.steps[self.done] if self.done < len(self.steps) else None
 
-    def is_token(self, given: str) -> bool:
-        """Whether a token is this participant's."""
-        return hmac.compare_digest(_digest(given), self._token)
+    @property
+    def finished(self) -> bool:
+        """Whether the participant has come to the code."""
+        return self.step is None or self.step.kind == "closing"
 
     def session(self, step: Step) -> Path:
         """The folder of a session: of a block, or of the practice."""
         return self.folder / ("practice" if step.block is None else f"block{step.block + 1}")
+
+
+class Participant(Progress):
+    """One participant who takes part: what happens is recorded."""
+
+    def __init__(self, design: Design, folder: Path) -> None:
+        """Read the participant's folder, and open its journal; see `Progress`."""
+        super().__init__(design, folder)
+        self._file = os.open(
+            folder / JOURNAL, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600
+        )
+        os.ftruncate(self._file, self.size)  # without a line that was cut off
+
+    def is_token(self, given: str) -> bool:
+        """Whether a token is this participant's."""
+        return hmac.compare_digest(_digest(given), self._token)
 
     def note(self, kind: str, details: Mapping[str, Any] | None = None) -> None:
         """Record something that has happened; it is on the disk when this returns."""

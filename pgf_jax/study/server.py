@@ -224,7 +224,7 @@ class StudyServer:
             people.append(
                 {
                     "number": number,
-                    "step": "done" if step is None or step.kind == "closing" else step.name,
+                    "step": "done" if step is None or person.finished else step.name,
                     "done": person.done,
                     "of": len(person.steps) - 1,
                     "connected": visit.connected,

@@ -185,7 +185,7 @@ class Visit:
         if name not in EVENTS or isinstance(client, bool) or not isinstance(client, int | float):
             raise ValueError("no event of a page")
         event = {"event": name, "client_ms": client}
-        for key in ("id", "robot", "rtt_ms", "offset_ms"):
+        for key in ("id", "robot", "task", "request", "rtt_ms", "offset_ms"):
             value = message.get(key)
             if isinstance(value, int | float) and not isinstance(value, bool):
                 event[key] = value

@@ -8,6 +8,7 @@ from typing import Any
 
 from pgf_jax.errors import BadInput, short_repr
 from pgf_jax.fleet.events import Event, EventKind
+from pgf_jax.guidance.operators.base import AnyOperator
 from pgf_jax.settings import stored_settings
 from pgf_jax.simulation.recorded_operator import REPLAY, Recording
 from pgf_jax.simulation.robot import Robot
@@ -18,16 +19,26 @@ from pgf_jax.tables.event_log import EventLog, first_difference, read_log
 
 
 def replay(
-    path: Path | str, *, on_task_end: Callable[[int, Robot], None] | None = None
+    path: Path | str,
+    *,
+    on_task_end: Callable[[int, Robot], None] | None = None,
+    operator: Callable[[Recording], AnyOperator] | None = None,
 ) -> tuple[FleetRunner, EventLog]:
     """Set up the replay of a recorded session, before its first event; returns its log too.
+
+    Args:
+      path: of its log, or its folder.
+      on_task_end: see `PlannedRobots`.
+      operator: makes of the recording who gives the inputs; None: it does itself.
 
     Raises:
       BadInput: it is no session's log, or its settings cannot be used here.
     """
     log = read_log(path)
     (cell,) = resolve(replay_config(SweepConfig(operator=REPLAY, log=Path(path)), log)).cells
-    return FleetRunner.of(cell.fleet, on_task_end=on_task_end), log
+    recording = cell.fleet.recording
+    given_by = None if operator is None or recording is None else operator(recording)
+    return FleetRunner.of(cell.fleet, on_task_end=on_task_end, operator=given_by), log
 
 
 _OWN = ("operator", "log", "out", "resume", "workers")  # of a replay itself

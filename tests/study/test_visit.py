@@ -3,12 +3,11 @@
 import json
 
 import pytest
-from study_toys import ToyPage, answers, toy_study, wait_for
+from study_toys import ToyPage, answers, arrive, toy_study, wait_for
 
 from pgf_jax.console.session import Session
 from pgf_jax.study import block
 from pgf_jax.study.block import TIMING, has_ended
-from pgf_jax.study.progress import Participant, add_participant
 from pgf_jax.study.visit import Turns, Visit
 from pgf_jax.tables.event_log import read_log
 
@@ -16,13 +15,6 @@ from pgf_jax.tables.event_log import read_log
 @pytest.fixture
 def study(tmp_path):
     return toy_study(tmp_path / "study")
-
-
-def arrive(design, turns=None, folder=None) -> tuple[Visit, ToyPage]:
-    folder = folder or add_participant(design)[0]
-    visit, page = Visit(design, Participant(design, folder), turns or Turns()), ToyPage()
-    visit.attach(page.put)
-    return visit, page
 
 
 def session_of(visit: Visit) -> Session:

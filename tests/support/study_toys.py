@@ -15,7 +15,9 @@ from websockets.sync.client import ClientConnection, connect
 
 from pgf_jax.study.design import DESIGN, Design, load_design
 from pgf_jax.study.example import write_example
+from pgf_jax.study.progress import Participant, add_participant
 from pgf_jax.study.server import StudyServer
+from pgf_jax.study.visit import Turns, Visit
 
 FLEET = """[fleet]
 robots = 2
@@ -24,6 +26,9 @@ engine = "phantom"
 lanes = 4
 rollout_time = 0.1
 world = "none"
+task_limit = 2.0
+push_execution = 0.3
+retreat = 0.1
 """
 
 
@@ -95,6 +100,71 @@ def answers() -> dict[str, dict[str, Any]]:
         "How was the system?": {f"sus_{i}": 4 for i in range(1, 11)},
         "Before you go": {"preferred": "the second", "attention": "green"},
     }
+
+
+def arrive(
+    design: Design, turns: Turns | None = None, folder: Path | None = None
+) -> tuple[Visit, ToyPage]:
+    """A participant whose page is there: a new one, or the one of a folder."""
+    folder = folder or add_participant(design)[0]
+    visit, page = Visit(design, Participant(design, folder), turns or Turns()), ToyPage()
+    visit.attach(page.put)
+    return visit, page
+
+
+def take_part(visit: Visit, page: ToyPage) -> None:
+    """Go on to the code as a page does, and help the robots that ask."""
+    helped, number = set(), 0
+
+    def act(what: str, **more: int) -> Mapping[str, Any] | None:
+        nonlocal number
+        number += 1
+        visit.receive({"type": "act", "do": what, "id": number, **more})
+        told = wait_for(
+            lambda: [one for one in page.of("feedback") if one["id"] == number] or not in_session()
+        )
+        return told[0] if told is not True else None
+
+    def in_session() -> bool:
+        return page.page["kind"] in ("practice", "block")
+
+    def time_of(event: str, service: Mapping[str, Any]) -> None:
+        at_ms = 1000 * time.time()
+        visit.receive({"type": "timing", "event": event, "client_ms": at_ms, **service})
+
+    def help_robot(service: Mapping[str, Any]) -> None:
+        time_of("shown", service)
+        time_of("first_input", service)
+        time_of("click", service)
+        act("next")
+        act("nudge", deeper=-1, left=0)
+        for what in ("push", "go_on") if len(helped) % 2 else ("go_on",):
+            time_of("submit", service)
+            told = act(what)
+            if told is not None and told["answered"]:
+                time_of("acknowledged", service)
+                return
+
+    def step() -> bool:
+        shown, kind = page.page, page.page["kind"]
+        if kind == "questions":
+            answered = answers()[shown["heading"]]
+            visit.receive({"type": "done", "step": shown["step"], "answers": answered})
+        elif in_session():
+            frames = page.of("frame")
+            if frames and frames[-1]["served"] is not None:
+                frame = frames[-1]
+                service = {"robot": frame["served"], "task": frame["task"],
+                           "request": frame["request"]}  # fmt: skip
+                key = (shown["step"], *service.values())
+                if key not in helped:
+                    helped.add(key)
+                    help_robot(service)
+        elif kind != "closing":
+            visit.receive({"type": "done", "step": shown["step"]})
+        return page.page["kind"] == "closing"
+
+    wait_for(step)
 
 
 class Served:

@@ -4,19 +4,21 @@
 const $ = (id) => document.getElementById(id);
 const token = location.pathname.split("/").pop();
 let socket = null, robots = new Map(), frame = null, cells = [], page = null;
-let number = 0, seen = null, touched = false, heard = 0;
+let number = 0, seen = null, touched = false, submitted = {};
 
 const now = () => performance.timeOrigin + performance.now();
 const send = (message) => {
   if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 };
 const time = (event, more) => send({ type: "timing", event, client_ms: now(), ...more });
+// Which service an event is of.
+const service = (of) => ({ robot: of.served, task: of.task, request: of.request });
 
 // -- the connection ------------------------------------------------------------------------------
 
 function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/wp/${token}`);
-  socket.onmessage = (event) => { heard = now(); show(JSON.parse(event.data)); };
+  socket.onmessage = (event) => show(JSON.parse(event.data));
   socket.onclose = () => {
     say("The connection is lost. Trying again …");
     setTimeout(connect, 2000);
@@ -174,12 +176,13 @@ function showFrame(message) {
   const all = [...robots.values()].sort((a, b) => a.robot - b.robot);
   cells = Shelves.draw($("shelves"), all, frame);
   const serving = frame.served !== null;
-  if (serving && seen !== frame.served) {
-    time("shown", { robot: frame.served });
+  const asked = serving ? `${frame.served} ${frame.task} ${frame.request}` : null;
+  if (serving && seen !== asked) {
+    time("shown", service(frame));
     touched = false;
     feedback(`Robot ${frame.served + 1} asks: click an object that should be pushed.`, true);
   }
-  seen = frame.served;
+  seen = asked;
   const practice = frame.practice ? ` · practice: ${Math.min(...frame.practice)} of ${frame.practice[1]} pushes` : "";
   $("status").textContent = (serving ? `Robot ${frame.served + 1} asks you` : "No robot asks you now") + practice;
   $("push").disabled = !serving || !frame.target || Boolean(frame.problem);
@@ -194,13 +197,16 @@ function feedback(words, ok) {
 
 function showFeedback(message) {
   feedback(message.text, message.ok);
-  if (message.answered) time("acknowledged", { id: message.id });
+  if (message.answered) time("acknowledged", { ...submitted, id: message.id });
 }
 
 function act(what, more) {
   number += 1;
-  if (!touched) { time("first_input", { id: number }); touched = true; }
-  time(what === "push" || what === "go_on" ? "submit" : "click", { id: number });
+  const about = { id: number, ...(frame && frame.served !== null ? service(frame) : {}) };
+  if (!touched) { time("first_input", about); touched = true; }
+  const submits = what === "push" || what === "go_on";
+  if (submits) submitted = { ...about };
+  time(submits ? "submit" : "click", about);
   send({ type: "act", do: what, id: number, ...more });
 }
 
