@@ -7,6 +7,7 @@ The session runs in a thread of its own, as at the console; what a participant d
 import dataclasses
 import json
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -19,12 +20,16 @@ from pgf_jax.console.input_panel import Feedback, InputPanel
 from pgf_jax.console.session import Frame, Session
 from pgf_jax.console.session_spec import SessionSpec
 from pgf_jax.fleet.events import EventKind
+from pgf_jax.simulation.observer import FOUND
 from pgf_jax.simulation.snapshot import RobotSnapshot
+from pgf_jax.study.design import Shown
+from pgf_jax.study.sureness import Sureness
 from pgf_jax.tables.event_log import JOURNAL, TABLE
 
 log = logging.getLogger(__name__)
 
 TIMING = "timing.jsonl"
+_CURVE = 60  # last costs that are shown
 CLIENT = 1  # of the session: the participant, whatever the browser
 Tell = Callable[[Mapping[str, Any]], None]
 # What a participant can do at a shelf: name -> (whether the numbers are right, what it does).
@@ -46,6 +51,7 @@ class BlockRunner:
 
     Args:
       config: of the session; one that has begun is resumed.
+      shown: what the page shows.
       tell: called, in other threads, with each message for the page.
       on_end: called, in the session's thread, when it has ended by itself.
       pushes: that end it once they were executed (practice); None: its horizon does.
@@ -57,11 +63,13 @@ class BlockRunner:
     def __init__(
         self,
         config: ConsoleConfig,
+        shown: Shown,
         tell: Tell,
         on_end: Callable[[], None],
         pushes: int | None = None,
     ) -> None:
         self._config, self._tell, self._on_end, self._pushes = config, tell, on_end, pushes
+        self._shown, self._sureness = shown, None
         self.failed = False
         self._session: Session | None = None
         self._wanted = False  # somebody is there
@@ -126,6 +134,12 @@ class BlockRunner:
                 self._timing.write(json.dumps({**event, "server_ms": at_ms}) + "\n")
                 self._timing.flush()
 
+    def finish(self) -> None:
+        """End the session now, as if its time were over."""
+        with self._lock:
+            if self._session is not None:
+                self._session.stop()
+
     def stop(self) -> None:
         """Stop it where it is, so that it can be resumed; returns when it has stopped."""
         with self._lock:
@@ -153,6 +167,8 @@ class BlockRunner:
 
     def _run_session(self) -> None:
         self._tell({"type": "preparing"})
+        if self._shown.sure:
+            self._sureness = Sureness()
         spec = SessionSpec.load(_resumed(self._config))
         session = Session(spec, self._show)
         with self._lock:
@@ -174,8 +190,9 @@ class BlockRunner:
         if self._pushes is not None and _pushes_executed(session) >= self._pushes:
             session.stop()
         robots = []
+        sure = {} if self._sureness is None else self._sureness.of(session.runner.robots)
         for robot in frame.fleet.robots:
-            shown = robot_message(robot)
+            shown = robot_message(robot, self._shown, sure.get(robot.robot))
             text = json.dumps(shown)
             if self._sent.get(robot.robot) != text:
                 self._sent[robot.robot] = text
@@ -203,15 +220,28 @@ def has_ended(folder: Path) -> bool:
     return (folder / TABLE).exists()
 
 
-def robot_message(robot: RobotSnapshot) -> dict[str, Any]:
-    """What the page shows of a robot: places in mm, so that they are short."""
+def robot_message(robot: RobotSnapshot, shown: Shown, sure: float | None) -> dict[str, Any]:
+    """What the page shows of a robot: places in mm, so that they are short.
+
+    Args:
+      robot: as it is.
+      shown: what the page shows.
+      sure: see `Sureness.of`.
+    """
     words = "pushing" if robot.push is not None else STATES[robot.state][1]
     push = robot.push
-    return {
+    more: dict[str, Any] = {}
+    if shown.sure:
+        more["sure"] = None if sure is None else round(sure, 2)
+    if shown.cost_curve:
+        more["costs"] = [round(cost, 1) for cost in robot.costs[-_CURVE:] if math.isfinite(cost)]
+    if shown.shelf_3d:
+        more["heights"] = [round(1000 * float(height)) for height in robot.heights]
+    return more | {
         "robot": robot.robot,
         "state": robot.state.name.lower(),
         "words": f"{words}, plans on" if robot.plans_on else words,
-        "news": robot.news,
+        "news": robot.news if robot.news == FOUND else "",  # the others are of bids
         "done": len(robot.done),
         "failed": len(robot.done) - robot.solved,
         "objects": [[round(1000 * float(c)) for c in place] for place in robot.objects],

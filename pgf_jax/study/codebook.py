@@ -130,10 +130,10 @@ _TEXTS = {
     "answer_value": "the answer to a scale, as a number",
     "score": "of the scales together, as the questionnaire says; empty: it has none",
     "took_s": "time on the page",
-    "page_event": "shown: a request; first_input, click, submit: clicks and keys; acknowledged: "
-    "the answer is recorded; clock: the two clocks were compared",
+    "page_event": "shown: a request; first_input, click, submit: clicks and keys; told: what came "
+    "of one; acknowledged: the answer is recorded; clock: the two clocks were compared",
     "visit_event": "connected, lost; focus_lost, focus_back, hidden, visible; paused, unpaused; "
-    "done: the step; reached_the_end",
+    "ended_by_experimenter: the session; done: the step; reached_the_end",
     "browser_s": "by the browser's clock, since the participant's page was there first",
     "server_s": "by the server's clock, since the participant's page was there first",
     "action": "number of the click or key since the page was loaded",

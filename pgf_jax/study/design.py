@@ -85,6 +85,24 @@ class Questions:
 
 
 @dataclasses.dataclass(frozen=True)
+class Shown:
+    """What the page shows of the robots, the same in all conditions.
+
+    Attributes:
+      sure: a bar for each robot: how likely it finds its way by itself within 30 s.
+      cost_curve: of the robot that asks: the cost of its best trajectory so far.
+      shelf_3d: the shelf of the robot that asks in perspective, too.
+    """
+
+    sure: bool = True
+    cost_curve: bool = False
+    shelf_3d: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclasses.dataclass(frozen=True)
 class Dataset:
     """What an exported data set says of itself.
 
@@ -111,7 +129,7 @@ class Design:
       title: shown to participants.
       fleet: settings of `pgf-jax console` that all conditions share.
       conditions: name -> the settings that are its own.
-      blocks, practice, questions, dataset: see there.
+      blocks, practice, questions, shown, dataset: see there.
       texts: name -> Markdown; see `TEXTS`.
       questionnaires: name -> questionnaire, of all that are asked.
     """
@@ -123,6 +141,7 @@ class Design:
     blocks: Blocks
     practice: Practice
     questions: Questions
+    shown: Shown
     dataset: Dataset
     texts: Mapping[str, str]
     questionnaires: Mapping[str, Questionnaire]
@@ -172,6 +191,7 @@ def load_design(folder: Path) -> Design:
         "blocks": Blocks,
         "practice": Practice,
         "questions": Questions,
+        "shown": Shown,
         "dataset": Dataset,
     }
     known = ("version", "title", "fleet", "conditions", *parts_of)

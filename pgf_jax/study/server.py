@@ -33,6 +33,7 @@ FILES = {  # that anybody may fetch
     "study.css": "text/css",
     "study.js": "text/javascript",
     "shelves.js": "text/javascript",
+    "shelf3d.js": "text/javascript",
     "experimenter.js": "text/javascript",
 }
 SILENT_S = 10.0
@@ -211,6 +212,8 @@ class StudyServer:
                         await connection.send(json.dumps({"type": "link", "path": self.add()}))
                     elif given.get("do") in ("pause", "go_on"):
                         self.visits[given["number"]].pause(given["do"] == "pause")
+                    elif given.get("do") == "end":
+                        self.visits[given["number"]].end_session()
                 except (ValueError, AttributeError, KeyError, TypeError):
                     return
         finally:
@@ -224,6 +227,7 @@ class StudyServer:
             people.append(
                 {
                     "number": number,
+                    "running": step is not None and step.kind in ("practice", "block"),
                     "step": "done" if step is None or person.finished else step.name,
                     "done": person.done,
                     "of": len(person.steps) - 1,

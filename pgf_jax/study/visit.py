@@ -26,7 +26,8 @@ EVENTS = {
     "first_input": False,
     "click": False,
     "submit": False,
-    "acknowledged": False,
+    "told": False,  # what came of a click or key
+    "acknowledged": False,  # an answer is recorded
     "clock": False,  # of browser and server, and the round trip
     "focus_lost": True,
     "focus_back": True,
@@ -124,6 +125,13 @@ class Visit:
             if self._runner is not None:
                 self._runner.pause()
             self._show()
+
+    def end_session(self) -> None:
+        """The experimenter ends the session that runs; the participant goes on to the next step."""
+        with self._lock:
+            if self._runner is not None and not self._runner.failed:
+                self.participant.note("ended_by_experimenter")
+                self._runner.finish()
 
     # -- what a page sends -------------------------------------------------------------------------
 
@@ -269,8 +277,9 @@ class Visit:
                     config = self._design.session(self.participant.blocks[step.block], folder)
                     pushes = None
                 self._runner = BlockRunner(
-                    config, self._tell, lambda: self._session_ended(number), pushes
-                )
+                    config, self._design.shown, self._tell,
+                    lambda: self._session_ended(number), pushes,
+                )  # fmt: skip
             self._runner.take()
 
     def _session_ended(self, number: int) -> None:

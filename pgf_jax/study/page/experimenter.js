@@ -28,7 +28,14 @@ function show(people) {
     button.textContent = person.paused ? "Go on" : "Pause";
     button.onclick = () => socket.send(JSON.stringify(
       { do: person.paused ? "go_on" : "pause", number: person.number }));
-    cell.append(button);
+    const end = document.createElement("button");
+    end.textContent = "End session";
+    end.disabled = !person.running;
+    end.onclick = () => {
+      if (confirm(`End the session of participant ${person.number + 1}?`))
+        socket.send(JSON.stringify({ do: "end", number: person.number }));
+    };
+    cell.append(button, " ", end);
     row.append(cell);
     return row;
   });

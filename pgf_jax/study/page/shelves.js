@@ -8,6 +8,7 @@ const Shelves = (() => {
   const EDGES = { planning: "#9ab", in_window: "#e69f00", in_line: "#e69f00", served: "#d55e00",
     executing: "#009e73", idle: "#ddd" };
   const FRONT = 60, CAPTION = 40;  // mm in front of the shelf that is drawn; px above it
+  const BAR = [64, 8];  // px: how sure a robot is
 
   // Cells of all robots; the served one is large, at the left.
   function layout(width, height, robots, served) {
@@ -24,7 +25,7 @@ const Shelves = (() => {
     let best = null;
     for (let columns = 1; columns <= others.length; columns++) {
       const rows = Math.ceil(others.length / columns);
-      const size = Math.min(room / columns, 1.1 * (height / rows - CAPTION));
+      const size = Math.min(room / columns, 1.4 * (height / rows - CAPTION));
       if (best === null || size > best.size) best = { columns, rows, size };
     }
     others.forEach((one, i) => cells.push({ robot: one.robot, large: false,
@@ -34,10 +35,17 @@ const Shelves = (() => {
     return cells;
   }
 
+  // What is left of a cell for the shelf from above, where it is drawn in perspective, too.
+  function perspective(cell, robot) {
+    if (!cell.large || !robot.heights) return 0;
+    return Math.round(0.42 * (cell.h - CAPTION));
+  }
+
   // How places of a robot's shelf are mapped into its cell.
   function map(cell, robot) {
     const [back, side] = robot.walls;
-    const scale = Math.min((cell.w - 12) / (2 * side), (cell.h - CAPTION - 8) / (back - FRONT));
+    const above = CAPTION + perspective(cell, robot);
+    const scale = Math.min((cell.w - 12) / (2 * side), (cell.h - above - 8) / (back - FRONT));
     const middle = cell.x + cell.w / 2, bottom = cell.y + cell.h - 4;
     return { scale, place: ([x, y]) => [middle - scale * y, bottom - scale * (x - FRONT)],
       back: (u, v) => [FRONT + (bottom - v) / scale, (middle - u) / scale] };
@@ -75,10 +83,13 @@ const Shelves = (() => {
     pen.font = `${cell.large ? 18 : 13}px system-ui, sans-serif`;
     pen.textBaseline = "top";
     const failed = robot.failed ? `, ${robot.failed} failed` : "";
-    pen.fillText(`Robot ${robot.robot + 1}: ${robot.words}`, cell.x + 10, cell.y + 8, cell.w - 20);
+    const room = cell.w - 20 - ("sure" in robot ? BAR[0] + 8 : 0);
+    pen.fillText(`Robot ${robot.robot + 1}: ${robot.words}`, cell.x + 10, cell.y + 8, room);
     pen.fillStyle = "#555";
     pen.fillText(robot.news || `${robot.done} done${failed}`, cell.x + 10,
       cell.y + (cell.large ? 30 : 24), cell.w - 20);
+    if ("sure" in robot) bar(pen, cell.x + cell.w - BAR[0] - 12, cell.y + 12, robot.sure);
+    if (cell.large && robot.costs) curve(pen, cell, robot.costs);
     line(pen, [[200, side], [back, side], [back, -side], [200, -side]].map(place), COLOURS.wall, 2);
     robot.objects.forEach((at, i) => {
       const goal = i === robot.goal;
@@ -95,6 +106,7 @@ const Shelves = (() => {
     robot.hand.forEach((axis) => line(pen, axis.map(place), COLOURS.hand, Math.max(2, 14 * scale)));
     line(pen, robot.path.map(place), COLOURS.path, 1.5, [5, 4]);
     // The ghost of the push: where the object would come to.
+    let ghost = null;
     let push = robot.push;
     if (chosen !== null && frame.target) push = [chosen, 1000 * frame.target[0], 1000 * frame.target[1]];
     if (push && push[0] < robot.objects.length) {
@@ -102,7 +114,38 @@ const Shelves = (() => {
       const colour = frame.problem && chosen !== null ? "#b00020" : COLOURS.target;
       line(pen, [from, to], colour, 3);
       circle(pen, to, scale * robot.radii[push[0]], null, colour, 3, [6, 4]);
+      ghost = { object: push[0], place: [push[1], push[2]], colour };
     }
+    const high = perspective(cell, robot);
+    if (high) {
+      const box = { x: cell.x + 8, y: cell.y + CAPTION + 4, w: cell.w - 16, h: high - 8 };
+      const look = (i) => (i === chosen ? COLOURS.chosen : i === robot.goal ? COLOURS.goal : COLOURS.object);
+      Shelf3D.draw(pen, box, robot, look, ghost);
+    }
+  }
+
+  // How sure a robot is: the part of a bar that is filled; empty and dashed where it is not known.
+  function bar(pen, x, y, sure) {
+    const [w, h] = BAR;
+    pen.fillStyle = "#555";
+    if (sure !== null) pen.fillRect(x, y, sure * w, h);
+    pen.setLineDash(sure === null ? [2, 3] : []);
+    pen.strokeStyle = "#555"; pen.lineWidth = 1; pen.strokeRect(x + 0.5, y + 0.5, w, h);
+    pen.setLineDash([]);
+  }
+
+  // The cost of the best trajectory so far, on a logarithmic scale, in a corner of the cell.
+  function curve(pen, cell, costs) {
+    if (costs.length < 2) return;
+    const w = 120, h = 60, x = cell.x + cell.w - w - 12, y = cell.y + cell.h - h - 12;
+    const logs = costs.map((cost) => Math.log10(Math.max(cost, 1)));
+    const top = Math.max(...logs), low = Math.min(...logs), range = Math.max(top - low, 1e-6);
+    pen.fillStyle = "rgba(255,255,255,0.85)"; pen.fillRect(x, y, w, h);
+    pen.strokeStyle = "#999"; pen.lineWidth = 1; pen.strokeRect(x, y, w, h);
+    line(pen, logs.map((log, i) => [x + 4 + (w - 8) * i / (logs.length - 1),
+      y + 14 + (h - 18) * (top - log) / range]), "#222", 2);
+    pen.fillStyle = "#222"; pen.font = "12px system-ui, sans-serif";
+    pen.fillText("cost", x + 4, y + 2);
   }
 
   function draw(canvas, robots, frame) {
@@ -111,7 +154,11 @@ const Shelves = (() => {
     const cells = layout(canvas.width, canvas.height, robots, frame.served);
     cells.forEach((cell) => {
       const robot = robots.find((one) => one.robot === cell.robot);
-      if (robot) drawOne(pen, cell, robot, frame);
+      if (!robot) return;
+      pen.save();
+      pen.beginPath(); pen.rect(cell.x, cell.y, cell.w, cell.h); pen.clip();
+      drawOne(pen, cell, robot, frame);
+      pen.restore();
     });
     return cells;
   }

@@ -174,6 +174,7 @@ function showFrame(message) {
   frame = message;
   message.robots.forEach((one) => robots.set(one.robot, one));
   const all = [...robots.values()].sort((a, b) => a.robot - b.robot);
+  $("sure").hidden = !all.some((one) => "sure" in one);
   cells = Shelves.draw($("shelves"), all, frame);
   const serving = frame.served !== null;
   const asked = serving ? `${frame.served} ${frame.task} ${frame.request}` : null;
@@ -197,6 +198,7 @@ function feedback(words, ok) {
 
 function showFeedback(message) {
   feedback(message.text, message.ok);
+  time("told", { id: message.id });
   if (message.answered) time("acknowledged", { ...submitted, id: message.id });
 }
 
