@@ -10,6 +10,7 @@ every acknowledged input is in the logs, whether the sessions replay bit for bit
 took to be acknowledged, and what memory the server took, of the first participants and of the last.
 """
 
+import contextlib
 import dataclasses
 import os
 import re
@@ -19,7 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -196,6 +197,25 @@ def in_block(number: int, seconds: float) -> Callable[[Any], bool]:
     return there
 
 
+@contextlib.contextmanager
+def browser() -> Iterator[Callable[..., Any]]:
+    """Headless Chromium: a function that opens a link, and waits for what its page shows."""
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=CHROMIUM_FLAGS
+        )
+
+        def arrive(link: str, shown: str = "page !== null") -> Any:
+            width, height = SIZES[0]
+            page = chromium.new_context(viewport={"width": width, "height": height}).new_page()
+            page.goto(link)
+            page.wait_for_function(shown, timeout=1e3 * WAIT_S)
+            return page
+
+        yield arrive
+        chromium.close()
+
+
 def write_study(folder: Path, config: Config) -> None:
     """The example, with the settings of the script."""
     write_example(folder)
@@ -221,18 +241,7 @@ def run(config: Config, folder: Path) -> list[float]:
     server, pictures, memory = Server(folder, config.port), Pictures(config.pictures), []
     desk, links = server.start(config.people)
     try:
-        with sync_playwright() as playwright:
-            chromium = playwright.chromium.launch(
-                executable_path=shutil.which("chromium"), args=CHROMIUM_FLAGS
-            )
-
-            def arrive(link: str) -> Any:
-                size = {"width": SIZES[0][0], "height": SIZES[0][1]}
-                page = chromium.new_context(viewport=size).new_page()
-                page.goto(link)
-                page.wait_for_function("page !== null", timeout=1e3 * WAIT_S)
-                return page
-
+        with browser() as arrive:
             for number, link in enumerate(links, 1):
                 page = arrive(link)
                 if config.trouble and number == 2:
@@ -251,11 +260,8 @@ def run(config: Config, folder: Path) -> list[float]:
                 print(f"participant {number}: code {code}, server {memory[-1]:.0f} MB", flush=True)
                 page.context.close()
             if config.pictures is not None and not config.trouble:
-                page = chromium.new_context().new_page()
-                page.goto(desk)
-                page.wait_for_selector("#people tbody tr")
+                page = arrive(desk, "document.querySelector('#people tbody tr') !== null")
                 pictures.take(page, "experimenter")
-            chromium.close()
     finally:
         server.stop()
     return memory

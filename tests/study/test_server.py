@@ -65,7 +65,7 @@ def test_a_participant_and_what_the_experimenter_sees(served):
     with served.connect(f"/wx/{served.server.key}") as desk:
         assert hear(desk, "people")["people"] == [
             {"number": 0, "step": "consent", "done": 0, "of": 10, "connected": False,
-             "paused": False}
+             "paused": False, "running": False}
         ]  # fmt: skip
         with served.connect(f"/w{link[1:]}") as line:
             assert hear(line, "page")["kind"] == "text"

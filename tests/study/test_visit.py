@@ -2,12 +2,21 @@
 
 import json
 
+import numpy as np
 import pytest
-from study_toys import ToyPage, answers, arrive, toy_study, wait_for
+from study_toys import ToyPage, answers, arrive, take_part, toy_study, wait_for
 
 from pgf_jax.console.session import Session
+from pgf_jax.fleet import FleetConfig
+from pgf_jax.guidance.predictors.features import state_features
+from pgf_jax.guidance.predictors.survival import survival
+from pgf_jax.physics.config import Physics
+from pgf_jax.planning.config import Planner
+from pgf_jax.simulation.fleet_spec import FleetSpec, TaskScenes
+from pgf_jax.simulation.runner import FleetRunner
 from pgf_jax.study import block
 from pgf_jax.study.block import TIMING, has_ended
+from pgf_jax.study.sureness import WITHIN, Sureness
 from pgf_jax.study.visit import Turns, Visit
 from pgf_jax.tables.event_log import read_log
 
@@ -229,3 +238,50 @@ def test_a_session_does_not_end_because_a_page_says_so(study):
         wait_for(lambda: visit._runner)
         visit.receive({"type": "act", "do": "win", "id": 1})
     visit.close()
+
+
+def test_the_experimenter_ends_a_session(tmp_path):
+    design = toy_study(tmp_path / "study", minutes=1.0, pushes=10_000)
+    visit, page = arrive(design)
+    to_practice(visit, page)
+    visit.end_session()  # nothing runs yet, or it has just begun
+    wait_for(lambda: page.of("frame") and page.of("frame")[-1]["running"])
+    visit.end_session()
+    page.wait_for("block", step=3)
+    folder = visit.participant.session(visit.participant.steps[2])
+    wait_for(lambda: has_ended(folder))
+    assert read_log(folder).events[-1].time_ns < 60e9
+    assert "ended_by_experimenter" in [event["kind"] for event in visit.participant.events]
+    visit.close()
+    visit.end_session()
+
+
+def test_a_page_shows_how_sure_robots_are_in_all_conditions(study):
+    visit, page = arrive(study)
+    take_part(visit, page)
+    visit.close()
+    for condition in (3, 6):  # steps of the two blocks
+        start = next(i for i, m in enumerate(page.messages)
+                     if m["type"] == "page" and m["step"] == condition)  # fmt: skip
+        end = next(i for i, m in enumerate(page.messages)
+                   if m["type"] == "page" and m["step"] > condition)  # fmt: skip
+        shown = [robot for message in page.messages[start:end] if message["type"] == "frame"
+                 for robot in message["robots"]]  # fmt: skip
+        assert shown and all(robot["sure"] is None or 0 <= robot["sure"] <= 1 for robot in shown)
+        assert all(len(robot["heights"]) == len(robot["objects"]) for robot in shown)
+
+
+def test_how_sure_a_robot_is_follows_its_search():
+    config = FleetConfig(robots=2, tasks=1, task_limit_s=60.0)
+    spec = FleetSpec(config, "planar", Physics(), Planner(), 4, TaskScenes(0, "tight"), "none")
+    runner, sureness = FleetRunner.of(spec), Sureness()
+    runner.run_until(0)
+    assert sureness.of(runner.robots) == {0: None, 1: None}  # no history yet
+    runner.run_until(30 * 10**9)
+    network = sureness._network
+    searches = [robot.search for robot in runner.robots.robots.values()]
+    found = sureness.of(runner.robots)
+    for number, search in enumerate(searches):
+        expected = 1 - survival(network, state_features(search)[None])[0, WITHIN - 1]
+        assert found[number] == (pytest.approx(expected) if np.isfinite(expected) else None)
+    assert any(found.values())

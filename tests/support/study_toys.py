@@ -46,6 +46,8 @@ def toy_study(folder: Path, minutes: float = 0.05, pushes: int = 0) -> Design:
         ("minutes = 10.0", f"minutes = {minutes}"),
         ("pushes = 3", f"pushes = {pushes}"),
         ("break_s = 30.0", "break_s = 0.2"),
+        ("shelf_3d = false", "shelf_3d = true"),
+        ("cost_curve = false", "cost_curve = true"),
     ):
         assert old in text
         text = text.replace(old, new)

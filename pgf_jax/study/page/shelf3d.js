@@ -75,6 +75,8 @@ const Shelf3D = (() => {
   // { object, place: [x, y], colour }, or null.
   function draw(pen, box, robot, look, ghost) {
     const place = map(box, robot), [back, side] = robot.walls;
+    pen.save();
+    pen.beginPath(); pen.rect(box.x, box.y, box.w, box.h); pen.clip();
     const floor = [[200, side, 0], [back, side, 0], [back, -side, 0], [200, -side, 0]];
     polygon(pen, floor.map(place), "#f6f3ee", "#222");
     [[[back, side], [back, -side]], [[200, side], [back, side]], [[200, -side], [back, -side]]]
@@ -93,6 +95,7 @@ const Shelf3D = (() => {
       cylinder(pen, place, ghost.place, robot.radii[ghost.object], robot.heights[ghost.object], null,
         ghost.colour, [6, 4]);
     }
+    pen.restore();
   }
 
   return { draw };
