@@ -26,7 +26,6 @@ from typing import Any
 
 import numpy as np
 import tyro
-from console_browser import CHROMIUM_FLAGS
 from playwright.sync_api import sync_playwright
 
 from pgf_jax import configure
@@ -40,6 +39,14 @@ from pgf_jax.tables.event_log import first_difference
 
 SIZES = ((1280, 720), (1400, 900))
 WAIT_S = 120.0
+# Draws without a GPU that is simulated, which would take a core of those that robots plan on.
+FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--no-first-run",
+    "--disable-sync",
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -201,9 +208,7 @@ def in_block(number: int, seconds: float) -> Callable[[Any], bool]:
 def browser() -> Iterator[Callable[..., Any]]:
     """Headless Chromium: a function that opens a link, and waits for what its page shows."""
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(
-            executable_path=shutil.which("chromium"), args=CHROMIUM_FLAGS
-        )
+        chromium = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
 
         def arrive(link: str, shown: str = "page !== null") -> Any:
             width, height = SIZES[0]
