@@ -66,7 +66,7 @@ class Recorded(BlockRunner):
         self.failed, self._session = False, None
         self._frames, self._every_s, self._tell = frames, every_s, tell
         self._lock = threading.Lock()
-        self._timing = (folder / TIMING).open("a", encoding="utf-8")
+        self._timing = folder / TIMING
         self._over = threading.Event()
         self.sent = 0
         threading.Thread(target=self._send, daemon=True).start()
@@ -106,7 +106,6 @@ class Recorded(BlockRunner):
     def stop(self) -> None:
         """End the frames."""
         self._over.set()
-        self._timing.close()
 
 
 def recorded_frames(config: Config, folder: Path) -> list[list[dict]]:

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import tyro
+from playwright.sync_api import TimeoutError as PlaywrightTimeout
 from playwright.sync_api import sync_playwright
 
 from pgf_jax import configure
@@ -140,6 +141,12 @@ def answer(page: Any) -> None:
     page.click("form button")
 
 
+def moved_on(page: Any, step: int) -> None:
+    """Wait for the page after a step; a server that is lost never sends it."""
+    with contextlib.suppress(PlaywrightTimeout):
+        page.wait_for_function("step => page.step !== step", arg=step, timeout=5000)
+
+
 def help_robot(page: Any) -> None:
     """Push the nearest object aside by keyboard, where there is room for it; else go on."""
     page.keyboard.press("Tab")
@@ -180,9 +187,11 @@ def take_part(
         elif page.is_visible("form"):
             pictures.take(page, "questions_" + page.evaluate("page.items[0].name"))
             answer(page)
+            moved_on(page, before[0])
         elif page.is_visible("main > button") and page.is_enabled("main > button"):
             pictures.take(page, page.evaluate("document.querySelector('h1').innerText"))
             page.click("main > button")
+            moved_on(page, before[0])
         elif page.is_visible("main > button"):
             pictures.take(page, "break")
         page.wait_for_timeout(50)

@@ -77,7 +77,7 @@ class BlockRunner:
         self._sent: dict[int, str] = {}  # robot -> what was shown last
         self._lock = threading.Lock()
         config.out.mkdir(parents=True, exist_ok=True)
-        self._timing = (config.out / TIMING).open("a", encoding="utf-8")
+        self._timing = config.out / TIMING
         self._thread = threading.Thread(target=self._run, name="block", daemon=True)
         self._thread.start()
 
@@ -127,12 +127,10 @@ class BlockRunner:
         session.act(CLIENT, lambda panel: do(panel, given), reply)
 
     def note(self, event: Mapping[str, Any]) -> None:
-        """Record when something happened at the page; the server's clock is added."""
+        """Record when something happened at the page, and the server's clock; also at the end."""
         at_ms = round(time.time() * 1000)
-        with self._lock:
-            if not self._timing.closed:
-                self._timing.write(json.dumps({**event, "server_ms": at_ms}) + "\n")
-                self._timing.flush()
+        with self._lock, self._timing.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({**event, "server_ms": at_ms}) + "\n")
 
     def finish(self) -> None:
         """End the session now, as if its time were over."""
@@ -159,9 +157,6 @@ class BlockRunner:
             self.failed = True
             self._tell({"type": "failed"})
             return
-        finally:
-            with self._lock:
-                self._timing.close()
         if not self._stopping:
             self._on_end()
 

@@ -77,6 +77,7 @@ class Visit:
         self._design, self.participant, self._turns = design, participant, turns
         self._send: Send | None = None
         self._runner: BlockRunner | None = None
+        self._ended: BlockRunner | None = None  # the one before: the page may still speak of it
         self._lock = threading.RLock()
         self._shown_at = 0.0
         self.paused = False  # by the experimenter
@@ -199,8 +200,8 @@ class Visit:
                 event[key] = value
         if EVENTS[name]:
             self.participant.note("page", event)
-        elif self._runner is not None:
-            self._runner.note(event)
+        elif (runner := self._runner or self._ended) is not None:
+            runner.note(event)
 
     # -- what the page shows -----------------------------------------------------------------------
 
@@ -284,7 +285,7 @@ class Visit:
 
     def _session_ended(self, number: int) -> None:
         with self._lock:
-            self._runner = None
+            self._ended, self._runner = self._runner, None
             self._turns.leave(self.participant.number)
             if number == self.participant.done:
                 self._finish({})
