@@ -3,6 +3,7 @@
 import json
 
 from pages import browser
+from study_platform import moved_on
 from study_toys import Served, wait_for
 
 from pgf_jax.study.block import TIMING
@@ -50,11 +51,13 @@ def test_a_person_takes_part_from_consent_to_the_code(tmp_path):
                     if page.evaluate("frame !== null && frame.served !== null"):
                         help_robot(page)
                 elif page.is_visible("form"):
+                    number = page.evaluate("page.step")
                     answer(page)
-                    page.wait_for_timeout(200)
+                    moved_on(page, number)
                 elif page.is_visible("main > button") and page.is_enabled("main > button"):
+                    number = page.evaluate("page.step")
                     page.click("main > button")
-                    page.wait_for_timeout(100)
+                    moved_on(page, number)
                 return False
 
             wait_for(step)
