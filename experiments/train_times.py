@@ -1,6 +1,6 @@
 """Makes the predictors of time: collects futures, trains, judges, and writes all files.
 
-They are judged on held-out scenes.
+They are judged on held-out scenes; with `--judge-only` those that are there are, without training.
 
     python experiments/train_times.py [--scale 0.2] [--data DIR] [--out DIR]
 
@@ -23,11 +23,11 @@ from predictor_evaluation import Estimate, bootstrap, windows
 from study_rows import estimate, table
 
 from pgf_jax import configure
-from pgf_jax.files import png, write_atomically
+from pgf_jax.files import png, read_json, write_atomically
 from pgf_jax.fleet.config import FleetConfig
 from pgf_jax.guidance.predictors import checkpoint as ckpt
 from pgf_jax.guidance.predictors.features import STATE
-from pgf_jax.guidance.predictors.registry import predictor_spec
+from pgf_jax.guidance.predictors.registry import PredictorSpec, predictor_spec
 from pgf_jax.guidance.predictors.survival import HORIZON, TimeToSolution
 from pgf_jax.scene import PRESETS
 from pgf_jax.tables.forks import read_futures
@@ -39,7 +39,7 @@ from pgf_jax.training.fit import Trained
 NETWORKS = ("time_alone", "time_helped")
 COLLECTIONS = (  # see `predictor_data`
     ("train", "futures", 6000, 0, (*EVERY, "--keys", "1", "--states", "5")),
-    ("test", "futures", 1200, 1_000_000, (*EVERY, "--keys", "6", "--states", "1")),
+    ("test", "futures", 480, 1_000_000, (*EVERY, "--keys", "6", "--states", "1")),
 )
 STEP_S = 2 * FleetConfig().rollout_time_s  # of an iteration
 SERVICE_S = FleetConfig().service_mean_s
@@ -56,6 +56,7 @@ class Config:
     scale: float = 0.2  # of the numbers of scenes
     data: Path = Path("data/times")
     out: Path = Path("checkpoints")
+    judge_only: bool = False  # the networks in `out`, on scenes held out
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -324,10 +325,9 @@ best choice, with services of {SERVICE_S:g} s beside which the robot plans on. H
 """
 
 
-def main(config: Config) -> None:
-    """Collect, train, judge, write and print."""
-    configure()
-    collect(COLLECTIONS, config.data, config.scale)
+def train(config: Config) -> tuple[TimeToSolution, list[str], dict]:
+    """Collect the data to train on, train, and save; returns what TIMES.md says of it, too."""
+    collect(COLLECTIONS[:1], config.data, config.scale)
     path = runs_path(config.data / "train", Mode.FUTURES)
     frame = read_futures(path)
     done: dict[str, Trained] = {}
@@ -338,18 +338,46 @@ def main(config: Config) -> None:
         about = training.report_of(done[network], rows)
         about["data_sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
         training.save(config.out, network, done[network], about, TrainConfig())
-        file = config.out / ckpt.checkpoint_name(network)
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()
-        files.append(f"| `{file.name}` | {file.stat().st_size / 1024:.0f} KiB | {digest} |")
+        files.append(file_row(config.out / ckpt.checkpoint_name(network)))
         print(network, {k: v for k, v in about.items() if k != "data_sha256"}, flush=True)
+    predictor = TimeToSolution(*(done[name].predictor for name in NETWORKS))
+    return (
+        predictor,
+        files,
+        {
+            "scale": config.scale,
+            "horizon": HORIZON,
+            "train_states": frame.select("scene", "seed", "iteration").n_unique(),
+            "train_scenes": frame["scene"].n_unique(),
+        },
+    )
+
+
+def trained(folder: Path) -> tuple[TimeToSolution, list[str], dict]:
+    """The networks of a folder, and what its TIMES.md says of their training."""
+    predictor, _ = PredictorSpec("time", folder).load()
+    before = read_json(folder / "times.json", "figures of networks")
+    files = [file_row(folder / ckpt.checkpoint_name(network)) for network in NETWORKS]
+    told = ("scale", "horizon", "train_states", "train_scenes")
+    return predictor, files, {name: before[name] for name in told}
+
+
+def file_row(file: Path) -> str:
+    """A checkpoint's row in TIMES.md."""
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    return f"| `{file.name}` | {file.stat().st_size / 1024:.0f} KiB | {digest} |"
+
+
+def main(config: Config) -> None:
+    """Collect, train, judge, write and print."""
+    configure()
+    predictor, files, about = trained(config.out) if config.judge_only else train(config)
+    collect(COLLECTIONS[1:], config.data, config.scale)
     held_out = futures_of(read_futures(runs_path(config.data / "test", Mode.FUTURES)))
-    content = judge(held_out, TimeToSolution(*(done[name].predictor for name in NETWORKS)))
-    content |= {"scale": config.scale, "horizon": HORIZON}
-    content |= {"train_states": frame.select("scene", "seed", "iteration").n_unique()}
-    content |= {"train_scenes": frame["scene"].n_unique()}
+    content = judge(held_out, predictor) | about
     write_atomically(config.out / "times.json", (json.dumps(content, indent=1) + "\n").encode())
     write_atomically(config.out / "times.png", draw(content))
-    text = readme(content, files, config.scale)
+    text = readme(content, files, about["scale"])
     write_atomically(config.out / "TIMES.md", text.encode())
     print(text)
 
