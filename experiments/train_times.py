@@ -35,6 +35,7 @@ from pgf_jax.tables.runs import Mode, runs_path
 from pgf_jax.training import train as training
 from pgf_jax.training.config import TrainConfig
 from pgf_jax.training.fit import Trained
+from pgf_jax.training.rows import stands_for
 
 NETWORKS = ("time_alone", "time_helped")
 COLLECTIONS = (  # see `predictor_data`
@@ -69,6 +70,7 @@ class Futures:
       seconds: which -> [F, K] until it was solved, or cut off, s.
       solved: which -> [F, K].
       remaining_s: [F] that was left of the task's limit, but for the time of checks, s.
+      weight: [F] of how many states of its run each is one; see `rows.stands_for`.
     """
 
     scene: np.ndarray
@@ -77,6 +79,7 @@ class Futures:
     seconds: dict[str, np.ndarray]
     solved: dict[str, np.ndarray]
     remaining_s: np.ndarray
+    weight: np.ndarray
 
     def saved(self, keys: slice = slice(None)) -> np.ndarray:
         """[F] true time that help saves where the robot plans on, services of `SERVICE_S`, s.
@@ -107,6 +110,7 @@ def futures_of(frame: pl.DataFrame) -> Futures:
         seconds={which: by_key(f"{which}_s") for which in ("alone", "helped")},
         solved={which: by_key(f"{which}_solved") for which in ("alone", "helped")},
         remaining_s=TASK_LIMIT_S - STEP_S * (0.5 + first["iteration"].to_numpy()[kept]),
+        weight=stands_for(first)[kept].astype(float),
     )
 
 
@@ -132,13 +136,19 @@ def concordance(predicted: np.ndarray, seconds: np.ndarray, solved: np.ndarray) 
 
 
 def calibration(
-    predicted: np.ndarray, happened: np.ndarray, scene: np.ndarray
+    predicted: np.ndarray, happened: np.ndarray, weight: np.ndarray, scene: np.ndarray
 ) -> list[tuple[float, Estimate]]:
-    """Mean predicted probability, and how often it happened, of tenths of the states."""
-    out = []
-    for part in np.array_split(np.argsort(predicted, kind="stable"), TENTHS):
-        seen = bootstrap(lambda i, part=part: float(happened[part][i].mean()), scene[part], 300)
-        out.append((float(predicted[part].mean()), seen))
+    """Mean predicted probability, and how often it happened, of tenths of the weight."""
+    order, out = np.argsort(predicted, kind="stable"), []
+    tenth = np.minimum(TENTHS * np.cumsum(weight[order]) / weight.sum(), TENTHS - 0.5).astype(int)
+    for number in range(TENTHS):
+        part = order[tenth == number]
+
+        def mean(values: np.ndarray, index: np.ndarray, part=part) -> float:
+            return float(np.average(values[part][index], weights=weight[part][index]))
+
+        seen = bootstrap(lambda i, mean=mean: mean(happened, i), scene[part], 300)
+        out.append((mean(predicted, np.arange(len(part))), seen))
     return out
 
 
@@ -194,13 +204,15 @@ def judge(futures: Futures, predictor: TimeToSolution) -> dict:
         seen = solved & (np.ceil(seconds / STEP_S) <= WITHIN)
         known = (solved | (np.floor(seconds / STEP_S) >= WITHIN)).all(axis=1)
         predicted, happened = 1 - survival[known, i, WITHIN - 1], seen[known].mean(axis=1)
-        brier = ((predicted[:, None] - seen[known]) ** 2).mean()
-        base = seen[known].mean()
+        # A run gives one state, whatever it lasts: in a fleet states of long runs are as much more.
+        weight = futures.weight[known]
+        brier = np.average(((predicted[:, None] - seen[known]) ** 2).mean(axis=1), weights=weight)
+        base = np.average(seen[known].mean(axis=1), weights=weight)
         content[which] = {
             "concordance": {n: (k, dataclasses.asdict(c), m) for n, (k, c, m) in by_class.items()},
             "calibration": [
                 (p, dataclasses.asdict(s))
-                for p, s in calibration(predicted, happened, futures.scene[known])
+                for p, s in calibration(predicted, happened, weight, futures.scene[known])
             ],
             "brier": float(brier),
             "brier_of_the_mean": float(base * (1 - base)),
@@ -288,8 +300,9 @@ that of the mean of a state's other futures: what may be known but for the noise
     }
 
 Solved within {WITHIN} iterations (30 s), predicted and seen, by tenths of the states
-([figure](times.png)). Brier score alone {alone["brier"]:.3f} (of the mean
-{alone["brier_of_the_mean"]:.3f}), helped {helped["brier"]:.3f} ({helped["brier_of_the_mean"]:.3f}).
+([figure](times.png)). States count as often as their runs had others, as they do in a fleet. Brier
+score alone {alone["brier"]:.3f} (of the mean {alone["brier_of_the_mean"]:.3f}), helped
+{helped["brier"]:.3f} ({helped["brier_of_the_mean"]:.3f}).
 
 {
         table(

@@ -155,17 +155,21 @@ def gain_rows(frame: pl.DataFrame) -> Rows:
     )
 
 
-def hazard_rows(frame: pl.DataFrame, which: str, step_s: float = 3.0) -> Rows:
+def hazard_rows(frame: pl.DataFrame, which: str, step_s: float = 3.0, drawn_to: int = 39) -> Rows:
     """Make a row for each iteration of each future: was it solved in it, having not been before?
 
     An iteration is a step of the clock of `step_s`. A future that the task's limit cut off has a
-    row for each step that was whole, all with target 0.
+    row for each step that was whole, all with target 0. Futures alone count more often the longer
+    their run was: see `stands_for`.
 
     Args:
       frame: futures as `read_futures` returns them.
       which: `alone` or `helped`.
       step_s: time of an iteration, s.
+      drawn_to: the last iteration of which states were drawn.
     """
+    if which == "alone":
+        frame = frame[np.repeat(np.arange(len(frame)), stands_for(frame, drawn_to))]
     states = frame.select(f"state:{name}" for name in STATE).to_numpy()
     seconds, solved = frame[f"{which}_s"].to_numpy(), frame[f"{which}_solved"].to_numpy()
     steps = np.where(solved, np.ceil(seconds / step_s), np.floor(seconds / step_s)).astype(int)
@@ -182,6 +186,29 @@ def hazard_rows(frame: pl.DataFrame, which: str, step_s: float = 3.0) -> Rows:
         iteration=frame["iteration"].to_numpy()[of],
         non_finite=int((~finite).sum()),
         names=(*STATE, AHEAD),
+    )
+
+
+def stands_for(frame: pl.DataFrame, drawn_to: int = 39) -> np.ndarray:
+    """[F] of how many states of its run each future's state is one, rounded.
+
+    A run that is soon solved has few states, and each of them is likely drawn; its own future is
+    short. Without this the futures of key 0, which are the runs' own, would be too short a sample.
+
+    Args:
+      frame: futures as `read_futures` returns them.
+      drawn_to: the last iteration of which states were drawn.
+    """
+    state = ["scene", "seed", "iteration"]
+    own = frame.filter(pl.col("key") == 0)
+    last = pl.col("iteration") + pl.col("alone_iterations") - pl.col("alone_solved").cast(int)
+    among = pl.min_horizontal(last, drawn_to) - HISTORY + 1
+    drawn = pl.len().over("scene", "seed")
+    counts = own.select(*state, (among / drawn).round().clip(lower_bound=1).cast(int).alias("n"))
+    return (
+        frame.select(state)
+        .join(counts, on=state, how="left", maintain_order="left")["n"]
+        .to_numpy()
     )
 
 

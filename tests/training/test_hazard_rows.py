@@ -14,7 +14,7 @@ from pgf_jax.guidance.predictors.survival import HORIZON, survival
 from pgf_jax.tables.forks import FUTURE_SCHEMA, check_futures, read_futures, write_futures
 from pgf_jax.tables.runs import Mode, runs_path
 from pgf_jax.training.config import TrainConfig
-from pgf_jax.training.rows import hazard_rows
+from pgf_jax.training.rows import hazard_rows, stands_for
 from pgf_jax.training.train import RECIPES, fit_network, report_of, save
 
 
@@ -50,7 +50,7 @@ def test_a_row_for_each_iteration_until_it_was_solved_or_cut_off():
             future(6, alone=(7.5, False), helped=(0.0, False)),
         ]
     )
-    rows = hazard_rows(frame, "alone")
+    rows = hazard_rows(frame, "alone", drawn_to=4)
     assert rows.target.tolist() == [0.0, 0.0, 1.0, 0.0, 0.0]
     assert rows.names == (*STATE, AHEAD)
     assert rows.features[:, -1].tolist() == [0.0, 1.0, np.log2(3), 0.0, 1.0]
@@ -59,8 +59,28 @@ def test_a_row_for_each_iteration_until_it_was_solved_or_cut_off():
     rows = hazard_rows(frame, "helped")
     assert (rows.target.tolist(), rows.iteration.tolist()) == ([1.0], [4])
     broken = future(4, alone=(7.5, True), helped=(3.0, True), **{"state:range": float("nan")})
-    rows = hazard_rows(pl.concat([frame, broken.with_columns(seed=pl.lit(2, pl.Int64()))]), "alone")
+    second = broken.with_columns(seed=pl.lit(2, pl.Int64()))
+    rows = hazard_rows(pl.concat([frame, second]), "alone", drawn_to=3)
     assert (len(rows.target), rows.non_finite) == (5, 1)
+
+
+def test_a_state_counts_as_often_as_its_run_had_others():
+    """Solved in iteration 13: ten states (3..12), of which two are drawn. Solved in 4: one."""
+    long = [future(n, alone=(3.0 * (13 - n), True), helped=(3.0, True), alone_iterations=13 - n)
+            for n in (5, 11)]  # fmt: skip
+    short = future(3, alone=(3.0, True), helped=(3.0, True), scene="tight_2")
+    cut_off = future(9, alone=(90.0, False), helped=(3.0, True), alone_iterations=30,
+                     scene="tight_3")  # fmt: skip
+    frame = pl.concat([*long, short, cut_off])
+    assert stands_for(frame).tolist() == [5, 5, 1, 37]
+    assert stands_for(frame, 20).tolist() == [5, 5, 1, 18]
+    rows = hazard_rows(frame, "alone")
+    count = {name: int((rows.scene == name).sum()) for name in ("tight_1", "tight_2", "tight_3")}
+    assert count == {"tight_1": 5 * 8 + 5 * 2, "tight_2": 1, "tight_3": 37 * 30}
+    assert len(hazard_rows(frame, "helped").target) == 4  # their futures are nobody's own
+    others = frame.with_columns(key=pl.lit(1, pl.Int64()), alone_iterations=pl.lit(1, pl.Int64()))
+    both = pl.concat([frame, others])
+    assert stands_for(both).tolist() == [5, 5, 1, 37] * 2
 
 
 def test_a_file_of_futures_is_checked(tmp_path):
