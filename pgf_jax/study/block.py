@@ -78,6 +78,7 @@ class BlockRunner:
         self._lock = threading.Lock()
         config.out.mkdir(parents=True, exist_ok=True)
         self._timing = config.out / TIMING
+        self._timing.touch()
         self._thread = threading.Thread(target=self._run, name="block", daemon=True)
         self._thread.start()
 
