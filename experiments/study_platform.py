@@ -12,7 +12,6 @@ took to be acknowledged, and what memory the server took, of the first participa
 
 import contextlib
 import dataclasses
-import os
 import re
 import shutil
 import signal
@@ -35,8 +34,7 @@ from pgf_jax.study.design import DESIGN, load_design
 from pgf_jax.study.example import write_example
 from pgf_jax.study.export import export
 from pgf_jax.study.records import Person, SessionRecord, read_people
-from pgf_jax.sweeping.replay import replay
-from pgf_jax.tables.event_log import first_difference
+from pgf_jax.sweeping.replay import replay, replay_difference
 
 SIZES = ((1280, 720), (1400, 900))
 WAIT_S = 120.0
@@ -295,12 +293,10 @@ def latencies_ms(sessions: Sequence[SessionRecord]) -> np.ndarray:
 
 
 def replays(session: SessionRecord) -> bool:
-    """Whether a session replays bit for bit, but for the cut at its end."""
+    """Whether a session replays bit for bit."""
     runner, log = replay(session.folder)
-    events = log.events
-    runner.run_until(events[-1].time_ns)
-    known = len(runner.fleet.events)
-    return first_difference(runner.fleet.events, events[:known]) is None
+    runner.run_until(log.events[-1].time_ns)
+    return replay_difference(runner.fleet.events, log) is None
 
 
 def report(people: Sequence[Person], memory: Sequence[float], config: Config) -> None:
@@ -356,5 +352,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("PYTHONUNBUFFERED", "1")
     main(tyro.cli(Config))

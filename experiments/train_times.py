@@ -1,8 +1,8 @@
 """Makes the predictors of time: collects futures, trains, judges, and writes all files.
 
-They are judged on held-out scenes; with `--judge-only` those that are there are, without training.
+They are judged on held-out scenes. `--judge-only` judges those in `--out`, and trains none.
 
-    python experiments/train_times.py [--scale 0.2] [--data DIR] [--out DIR]
+    python experiments/train_times.py [--scale 0.3] [--data DIR] [--out DIR] [--judge-only]
 
 Data that are already in `--data` are kept, and an interrupted collection is continued. All figures
 of `checkpoints/TIMES.md` come from this script. Intervals are 95 %, by scenes drawn again.
@@ -54,7 +54,7 @@ TENTHS = 10
 class Config:
     """Options of the script."""
 
-    scale: float = 0.2  # of the numbers of scenes
+    scale: float = 0.3  # of the numbers of scenes
     data: Path = Path("data/times")
     out: Path = Path("checkpoints")
     judge_only: bool = False  # the networks in `out`, on scenes held out

@@ -202,14 +202,12 @@ def _lacks(command: str, error: ModuleNotFoundError) -> BadInput:
 
 
 def _study(config: Any) -> None:
-    from pgf_jax.study.command import load_server, study
+    from pgf_jax.study.command import study
 
     try:
-        if config.what == "serve":
-            load_server()
-    except ModuleNotFoundError as error:
+        study(config)
+    except ModuleNotFoundError as error:  # only `serve` needs more, and imports it first
         raise _lacks("study", error) from None
-    study(config)
 
 
 COMMANDS = {

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import signal
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn
@@ -16,9 +16,6 @@ from pgf_jax.study.design import Design, load_design
 from pgf_jax.study.example import write_example
 from pgf_jax.study.orders import balanced_orders
 from pgf_jax.study.progress import steps_of
-
-if TYPE_CHECKING:
-    from pgf_jax.study.server import StudyServer
 
 LOG = "server.log"
 _SIMULATED = 8  # participants, unless it is said how many
@@ -45,22 +42,16 @@ def study(config: StudyConfig) -> None:
     does[config.what](config, load_design(config.folder))
 
 
-def load_server() -> "type[StudyServer]":
-    """Import the server, which needs the extra `console`; ModuleNotFoundError without it."""
-    from pgf_jax.study.server import StudyServer
-
-    return StudyServer
-
-
 def serve(config: StudyConfig, design: Design) -> None:
-    """Serve a study until it is interrupted.
+    """Serve a study until it is interrupted; needs the extra `console`.
 
     Raises:
       BadInput: the port is not free.
     """
     from pgf_jax.console.log_file import log_to
+    from pgf_jax.study.server import StudyServer
 
-    server = load_server()(design, config.at_once)
+    server = StudyServer(design, config.at_once)
     log_to(config.folder / LOG, "pgf_jax")
 
     def ready(port: int) -> None:

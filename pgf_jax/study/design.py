@@ -152,14 +152,16 @@ class Design:
 
     def policy(self, condition: str) -> str:
         """The policy of a condition."""
-        settings = dict(self.fleet) | dict(self.conditions[condition])
-        return settings.get("policy", ConsoleConfig().policy)
+        return self._settings(condition).get("policy", ConsoleConfig().policy)
+
+    def _settings(self, condition: str) -> dict[str, Any]:
+        return dict(self.fleet) | dict(self.conditions[condition])
 
     def session(self, block: Block, out: Path) -> ConsoleConfig:
         """The settings of the session of a block."""
         name = list(self.conditions)[block.condition]
         return _session(
-            dict(self.fleet) | dict(self.conditions[name]),
+            self._settings(name),
             seed=self.blocks.scene_seeds[block.scenes],
             horizon=60 * self.blocks.minutes,
             out=out,

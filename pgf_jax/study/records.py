@@ -172,16 +172,20 @@ class Person:
 
         A server that was killed has not noted it: then the time is from the last event before.
         """
-        count, lost_ms, there = 0, 0, False
-        at_ms = 0
+        count, gaps_ms = 0, 0
+        lost_ms: int | None = None
+        before_ms: int | None = None
         for event in self.progress.events:
-            if event["kind"] == "connected" and at_ms:
-                count, lost_ms = count + 1, lost_ms + event["at_ms"] - at_ms
-            there = event["kind"] != "lost"
-            at_ms = event["at_ms"]
-            if there and event["kind"] == "reached_the_end":
+            kind, at_ms = event["kind"], event["at_ms"]
+            if kind == "reached_the_end":
                 break
-        return count, lost_ms / 1000
+            if kind == "connected" and before_ms is not None:
+                since_ms = before_ms if lost_ms is None else lost_ms
+                count, gaps_ms, lost_ms = count + 1, gaps_ms + at_ms - since_ms, None
+            elif kind == "lost":
+                lost_ms = at_ms
+            before_ms = at_ms
+        return count, gaps_ms / 1000
 
 
 def read_people(design: Design) -> list[Person]:
