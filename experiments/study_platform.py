@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 import tyro
-from playwright.sync_api import TimeoutError as PlaywrightTimeout
 from playwright.sync_api import sync_playwright
 
 from pgf_jax import configure
@@ -139,10 +138,19 @@ def answer(page: Any) -> None:
     page.click("form button")
 
 
+def wait_until(page: Any, shown: str, seconds: float) -> bool:
+    """Wait for what a page shows, which its own rules forbid it to do itself; whether it came."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        if page.evaluate(shown):
+            return True
+        page.wait_for_timeout(50)
+    return False
+
+
 def moved_on(page: Any, step: int) -> None:
     """Wait for the page after a step; a server that is lost never sends it."""
-    with contextlib.suppress(PlaywrightTimeout):
-        page.wait_for_function("step => page.step !== step", arg=step, timeout=5000)
+    wait_until(page, f"page.step !== {step}", 5)
 
 
 def help_robot(page: Any) -> None:
@@ -221,7 +229,8 @@ def browser() -> Iterator[Callable[..., Any]]:
             width, height = SIZES[0]
             page = chromium.new_context(viewport={"width": width, "height": height}).new_page()
             page.goto(link)
-            page.wait_for_function(shown, timeout=1e3 * WAIT_S)
+            if not wait_until(page, shown, WAIT_S):
+                raise RuntimeError(f"the page never showed {shown}")
             return page
 
         yield arrive

@@ -1,13 +1,14 @@
 """Runs blocks of a study without people: a fleet each, with an operator in a person's place."""
 
 import dataclasses
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pgf_jax.batching.planner_service import PlannerService, make_planner_service
 from pgf_jax.console.config import ConsoleConfig
 from pgf_jax.fleet import Fleet
+from pgf_jax.fleet.events import Event
 from pgf_jax.fleet.records import TaskRecord
 from pgf_jax.fleet.service import ServiceTimes
 from pgf_jax.guidance.operators.base import AnyOperator
@@ -48,18 +49,18 @@ class Outcome:
       block: that was run.
       records: of its tasks.
       inputs: its services.
-      fleet: at its end.
+      events: all of them.
     """
 
     block: Simulated
     records: Sequence[TaskRecord]
     inputs: Sequence[Input]
-    fleet: Fleet
+    events: Sequence[Event]
 
     @property
     def measures(self) -> dict[str, float]:
         """See `analysis.block_measures`."""
-        seconds = max((event.time_ns for event in self.fleet.events), default=0) / 1e9
+        seconds = max((event.time_ns for event in self.events), default=0) / 1e9
         return block_measures(self.records, self.inputs, seconds)
 
 
@@ -76,28 +77,35 @@ def run_blocks(
       Their outcomes, in the order of `blocks`.
     """
     specs = [fleet_of(block.config) for block in blocks]
-    services: dict[Hashable, PlannerService] = {}
-    caches: dict[Hashable, SearchCache] = {}
-    fleets: dict[Hashable, list[PlannedFleet]] = {}
-    for number, (block, spec) in enumerate(zip(blocks, specs, strict=True)):
-        programs = spec.compile_key
-        if programs not in services:
-            services[programs] = make_planner_service(*programs)
-        own = number if block.operator is not None else None
-        shared = (spec.cache_key, own)
-        if shared not in caches:
-            caches[shared] = spec.search_cache(services[programs], block.operator)
-        robots = spec.planned_robots(caches[shared])
-        block.bind(robots)
-        made = Fleet(spec.config, robots, service=block.service)
-        fleets.setdefault(programs, []).append(PlannedFleet(made, robots, number))
+    alike: dict[Hashable, list[int]] = {}  # blocks with the same programs
+    for number, spec in enumerate(specs):
+        alike.setdefault(spec.compile_key, []).append(number)
     done: dict[int, Outcome] = {}
-    for programs, together in fleets.items():
-        for fleet, _, number in run_fleets(iter(together), services[programs]):
+    for numbers in alike.values():
+        service = make_planner_service(*specs[numbers[0]].compile_key)
+        chosen = [(blocks[number], specs[number], number) for number in numbers]
+        # No more at a time than keep calls full, so that memory does not grow with their number.
+        fewest = min(spec.config.robots for _, spec, _ in chosen)
+        at_once = max(1, 2 * service.engine.lanes // fewest)
+        for fleet, _, number in run_fleets(_fleets(chosen, service), service, at_once=at_once):
             inputs = inputs_of(fleet.events, ())
-            done[number] = Outcome(blocks[number], fleet.records, inputs, fleet)
+            done[number] = Outcome(blocks[number], fleet.records, inputs, fleet.events)
             said(len(done))
     return [done[number] for number in range(len(blocks))]
+
+
+def _fleets(
+    chosen: Sequence[tuple[Simulated, FleetSpec, int]], service: PlannerService
+) -> Iterator[PlannedFleet]:
+    shared: dict[Hashable, SearchCache] = {}
+    for block, spec, number in chosen:
+        if block.operator is not None:
+            cache = spec.search_cache(service, block.operator)
+        else:
+            cache = shared.setdefault(spec.cache_key, spec.search_cache(service))
+        robots = spec.planned_robots(cache)
+        block.bind(robots)
+        yield PlannedFleet(Fleet(spec.config, robots, service=block.service), robots, number)
 
 
 def fleet_of(config: ConsoleConfig) -> FleetSpec:

@@ -8,6 +8,7 @@ the inputs of the operator `heuristic`. Both are counted, so that it is clear wh
 
 import dataclasses
 import hashlib
+import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -114,18 +115,19 @@ class CarriedOver:
     def __init__(self, given: dict[_Shelf, list[Given]], beyond: ServiceTimes) -> None:
         self._left = {shelf: list(inputs) for shelf, inputs in given.items()}
         self._beyond, self._somebody = beyond, make_operator(SOMEBODY)
-        self._robots: PlannedRobots | None = None
+        self._robots: weakref.ref[PlannedRobots] | None = None
         self.carried: dict[_Service, Given] = {}
         self.others: set[_Service] = set()
 
     def bind(self, robots: PlannedRobots) -> None:
-        """Learn where the robots stand."""
-        self._robots = robots
+        """Learn where the robots stand; does not keep them when their fleet has ended."""
+        self._robots = weakref.ref(robots)
 
     def seconds(self, robot: int, task: int, request: int) -> float | None:
         """See `ServiceTimes.seconds`; called when a service begins, which decides on its input."""
-        assert self._robots is not None
-        service, one = (robot, task, request), self._robots.robots[robot]
+        robots = self._robots and self._robots()
+        assert robots is not None
+        service, one = (robot, task, request), robots.robots[robot]
         left = self._left.get((robot, task, shelf_digest(one.search, one.checked_at(one.node))))
         if left:
             self.carried[service] = left.pop(0)

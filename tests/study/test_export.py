@@ -196,7 +196,7 @@ def test_under_its_own_policy_every_input_carries_over(study):
         log = read_log(block.folder)
         answered = [one for one in inputs_of(log.events, ()) if one.outcome in ("push", "go_on")]
         assert len(same.operator.carried) >= len(answered) > 0
-        events = same.outcome.fleet.events
+        events = same.outcome.events
         # The same to the bit, until the first service that the recording has no answer for.
         others = same.operator.others
         unknown = [
@@ -214,7 +214,7 @@ def test_under_another_policy_some_inputs_are_of_the_fitted_operator(study):
     assert [one.block.name for one in found] == ["block1", "block2"]
     for one in found:
         services = {*one.operator.carried, *one.operator.others}
-        granted = inputs_of(one.outcome.fleet.events, ())
+        granted = inputs_of(one.outcome.events, ())
         assert services == {(g.robot, g.task, g.request) for g in granted}
         assert not one.operator.carried.keys() & one.operator.others
 

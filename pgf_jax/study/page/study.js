@@ -68,6 +68,8 @@ function showPage(message) {
   if (block) {
     robots = new Map(); frame = null;
     $("status").textContent = "The robots are getting ready …";
+    feedback("", true);
+    fit();
     $("shelves").focus();
   } else if (!(same && message.kind === "questions")) {
     const made = message.kind === "questions" ? form(message) : text(message);
@@ -190,6 +192,15 @@ function showFrame(message) {
   $("go_on").disabled = !serving;
   $("undo").disabled = !serving || frame.object === null;
 }
+
+// The shelves fill what the window has above the controls; they keep their size while robots are helped.
+function fit() {
+  const canvas = $("shelves");
+  if (!canvas.clientWidth) return;
+  const room = window.innerHeight - canvas.offsetTop - $("controls").offsetHeight - 6;
+  canvas.height = Math.max(300, room) * canvas.width / canvas.clientWidth;
+}
+window.addEventListener("resize", fit);
 
 function feedback(words, ok) {
   $("feedback").textContent = words;
