@@ -20,6 +20,8 @@ MEASURES = {  # name -> (column, whether more is better)
     "planning time": ("planning_time_s", False),
     "success": ("success", True),
 }
+# Of the largest fleet that is served by time in the task.
+WORK = {"utilisation": "operator busy", "fairness_throughput": "fairness (Jain, tasks per hour)"}
 
 
 def with_rate(rows: pl.DataFrame) -> pl.DataFrame:
@@ -35,9 +37,9 @@ def within(ours: pl.DataFrame, full: pl.DataFrame, measure: str) -> bool:
     return end <= LOSS * reference
 
 
-def largest(
+def largest_size(
     rows: pl.DataFrame, name: str, policy: str, settings: tuple[str, str], measure: str
-) -> str:
+) -> tuple[int, list[int]]:
     """The largest fleet that is within the loss, as all smaller ones that were computed are.
 
     Args:
@@ -48,7 +50,7 @@ def largest(
       measure: one of `MEASURES`.
 
     Returns:
-      The size; `N+` where it is the largest of all, `under N` where the smallest is not within.
+      The size, 0 where none is within; and the sizes that were computed.
     """
     best, tried = 0, []
     for robots in sorted(set(rows.filter(set=name, policy=policy)["robots"])):
@@ -58,6 +60,14 @@ def largest(
         tried.append(robots)
         if best == ([0, *tried])[-2] and within(ours, full, measure):
             best = robots
+    return best, tried
+
+
+def largest(
+    rows: pl.DataFrame, name: str, policy: str, settings: tuple[str, str], measure: str
+) -> str:
+    """`largest_size` in words: `N+` where it is the largest of all, or `under N`."""
+    best, tried = largest_size(rows, name, policy, settings, measure)
     if not tried:
         return ""
     if not best:
@@ -114,6 +124,7 @@ def served(rows: pl.DataFrame) -> str:
         setting = f"services of {mean:g} s"
         lines += _lines(rows, "packed", (setting, f"{setting}, {EACH}"), setting)
     headings = ["set", "setting", "policy", *MEASURES]
+    headings += [f"{words} there" for words in WORK.values()]
     headings += ["fully served, s", "fan-out by (Z + S) / S", "by the machine-repair model"]
     return section("How many robots are served", [table(headings, lines) if lines else ""])
 
@@ -124,6 +135,9 @@ def _lines(rows: pl.DataFrame, name: str, settings: tuple[str, str], label: str)
         found = [largest(rows, name, policy, settings, measure) for measure in MEASURES]
         if not any(found):
             continue
+        size, _ = largest_size(rows, name, policy, settings, "time in the task")
+        its = fleets(rows, name, size, policy, settings[0])
+        found += [text(over_seeds(its, column), 2) for column in WORK]
         full = rows.filter(pl.col("seed") < 100, set=name, policy=policy, setting=settings[1])
         full = full.filter(robots=full["robots"].max())
         think_s, service_s = cycle(full)

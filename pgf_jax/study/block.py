@@ -158,6 +158,9 @@ class BlockRunner:
             self.failed = True
             self._tell({"type": "failed"})
             return
+        finally:
+            with self._lock:
+                self._session = self._sureness = None  # of which a page that lingers needs nothing
         if not self._stopping:
             self._on_end()
 

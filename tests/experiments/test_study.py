@@ -35,6 +35,7 @@ def frame(times: Mapping[Fleet, Sequence[float]], success: float = 0.5) -> pl.Da
                 "planning_time_s": seconds,
                 "success": success,
                 "utilisation": 0.5,
+                "fairness_throughput": 0.9,
                 "return_on_effort": 2.0,
                 "fan_out": 3.0,
                 "solved": 5 * robots,
@@ -201,6 +202,10 @@ def test_a_fleet_is_served_where_it_is_as_good_as_one_with_an_operator_each():
     assert largest(rows.filter(pl.col("robots") > 10)) == "under 20"
     assert largest(rows.filter(pl.col("robots") < 20)) == "10+"
     assert largest(rows.filter(policy="pgf")) == ""
+    # Beside it, how busy the operator is there, and how fair to the robots.
+    assert "| 10 | 10 | 10 | 30+ | 0.50 (0.50..0.50) | 0.90 (0.90..0.90) |" in (
+        study_served.served(rows)
+    )
 
 
 @pytest.mark.parametrize(

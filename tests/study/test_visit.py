@@ -1,6 +1,8 @@
 """The conversation with a participant, without a network."""
 
+import gc
 import json
+import weakref
 
 import numpy as np
 import pytest
@@ -254,6 +256,18 @@ def test_the_experimenter_ends_a_session(tmp_path):
     assert "ended_by_experimenter" in [event["kind"] for event in visit.participant.events]
     visit.close()
     visit.end_session()
+
+
+def test_a_session_that_has_ended_is_not_kept(tmp_path):
+    """A server that runs for a week would not have the memory."""
+    visit, page = arrive(toy_study(tmp_path / "study", minutes=10.0, pushes=10_000))
+    to_practice(visit, page)
+    session = weakref.ref(session_of(visit))
+    wait_for(lambda: page.of("frame") and page.of("frame")[-1]["running"])
+    visit.end_session()
+    page.wait_for("block", step=3)
+    wait_for(lambda: gc.collect() is not None and session() is None)
+    visit.close()
 
 
 def test_a_page_shows_how_sure_robots_are_in_all_conditions(study):
