@@ -139,7 +139,8 @@ def answer(page: Any) -> None:
 
 
 def wait_until(page: Any, shown: str, seconds: float) -> bool:
-    """Wait for what a page shows, which its own rules forbid it to do itself; whether it came."""
+    """Wait until something is true of a page; returns whether it came to be."""
+    # Not `page.wait_for_function`: it needs `eval`, which the page's own rules forbid.
     until = time.monotonic() + seconds
     while time.monotonic() < until:
         if page.evaluate(shown):

@@ -20,8 +20,8 @@ MEASURES = {  # name -> (column, whether more is better)
     "planning time": ("planning_time_s", False),
     "success": ("success", True),
 }
-# Of the largest fleet that is served by time in the task.
 WORK = {"utilisation": "operator busy", "fairness_throughput": "fairness (Jain, tasks per hour)"}
+THERE = "There: with the largest fleet that is served by time in the task."
 
 
 def with_rate(rows: pl.DataFrame) -> pl.DataFrame:
@@ -126,7 +126,7 @@ def served(rows: pl.DataFrame) -> str:
     headings = ["set", "setting", "policy", *MEASURES]
     headings += [f"{words} there" for words in WORK.values()]
     headings += ["fully served, s", "fan-out by (Z + S) / S", "by the machine-repair model"]
-    return section("How many robots are served", [table(headings, lines) if lines else ""])
+    return section("How many robots are served", [table(headings, lines), THERE] if lines else [])
 
 
 def _lines(rows: pl.DataFrame, name: str, settings: tuple[str, str], label: str) -> list[list[str]]:

@@ -102,7 +102,9 @@ def _fleets(
         if block.operator is not None:
             cache = spec.search_cache(service, block.operator)
         else:
-            cache = shared.setdefault(spec.cache_key, spec.search_cache(service))
+            if spec.cache_key not in shared:
+                shared[spec.cache_key] = spec.search_cache(service)
+            cache = shared[spec.cache_key]
         robots = spec.planned_robots(cache)
         block.bind(robots)
         yield PlannedFleet(Fleet(spec.config, robots, service=block.service), robots, number)

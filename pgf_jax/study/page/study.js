@@ -176,7 +176,8 @@ function showFrame(message) {
   frame = message;
   message.robots.forEach((one) => robots.set(one.robot, one));
   const all = [...robots.values()].sort((a, b) => a.robot - b.robot);
-  $("sure").hidden = !all.some((one) => "sure" in one);
+  const sure = all.some((one) => "sure" in one);
+  if ($("sure").hidden === sure) { $("sure").hidden = !sure; fit(); }
   cells = Shelves.draw($("shelves"), all, frame);
   const serving = frame.served !== null;
   const asked = serving ? `${frame.served} ${frame.task} ${frame.request}` : null;
