@@ -5,6 +5,7 @@ The session runs in a thread of its own, as at the console; what a participant d
 """
 
 import dataclasses
+import gc
 import json
 import logging
 import math
@@ -161,6 +162,7 @@ class BlockRunner:
         finally:
             with self._lock:
                 self._session = self._sureness = None  # of which a page that lingers needs nothing
+            gc.collect()  # a session refers to itself, and holds hundreds of megabytes
         if not self._stopping:
             self._on_end()
 

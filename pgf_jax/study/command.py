@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import ctypes
 import signal
 from collections.abc import Iterator
 from typing import Any
@@ -18,6 +19,7 @@ from pgf_jax.study.orders import balanced_orders
 from pgf_jax.study.progress import steps_of
 
 LOG = "server.log"
+_ARENA_MAX = -8  # the number of a setting of glibc, `M_ARENA_MAX`: heaps at most
 _SIMULATED = 8  # participants, unless it is said how many
 
 
@@ -63,6 +65,8 @@ def serve(config: StudyConfig, design: Design) -> None:
             print(f"participant {len(server.visits)}: {place}{link}")
         print("Ctrl-C ends it; the same command goes on where it was", flush=True)
 
+    _share_heap()
+
     async def run() -> None:
         running = asyncio.current_task()
         assert running is not None
@@ -72,6 +76,15 @@ def serve(config: StudyConfig, design: Design) -> None:
             await server.run(config.host, config.port, ready)
 
     asyncio.run(run())
+
+
+def _share_heap() -> None:
+    """Keep the C library from giving each thread a heap of its own, where it is glibc.
+
+    Each session runs in a new thread, and what it frees in its own heap no other thread would use.
+    """
+    with contextlib.suppress(OSError, AttributeError):  # no such library, or no such function
+        ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
 
 
 def _check(config: StudyConfig, design: Design) -> None:
