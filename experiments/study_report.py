@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from study_claims import paper_claims
 from study_figures import FIGURES
 from study_numbers import fill
 from study_rows import read
@@ -22,7 +23,7 @@ human effort, and fan-out how many robots one operator could serve if none waite
 def write(out: Path) -> str:
     """Write `study.md` and the figures of which there are rows, and return the tables."""
     rows = read("study", out).fill_null("")
-    parts = [HEAD, served(rows), *(table(rows) for table in TABLES)]
+    parts = [HEAD, served(rows), paper_claims(rows), *(table(rows) for table in TABLES)]
     report = "\n\n".join(part for part in parts if part) + "\n"
     write_atomically(out / "study.md", report.encode())
     for name, draw in FIGURES.items():

@@ -8,6 +8,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 import study
+import study_claims
 import study_figures
 import study_numbers
 import study_report
@@ -206,6 +207,29 @@ def test_a_fleet_is_served_where_it_is_as_good_as_one_with_an_operator_each():
     assert "| 10 | 10 | 10 | 30+ | 0.50 (0.50..0.50) | 0.90 (0.90..0.90) |" in (
         study_served.served(rows)
     )
+
+
+@pytest.mark.parametrize(
+    ("claim", "or_hitl", "pgf", "holds"),
+    [
+        ("planning time, 10 robots", {10: [50, 60]}, {10: [40, 51]}, "yes"),
+        ("planning time, 10 robots", {10: [50, 60]}, {10: [40, 60]}, "not decided"),
+        ("planning time, 10 robots", {10: [40, 51]}, {10: [50, 60]}, "no"),
+        ("planning time, 30 robots", {30: [50, 60]}, {30: [51, 61]}, "yes"),
+        ("planning time, 30 robots", {30: [50, 60]}, {30: [53, 63]}, "no"),
+        ("PGF's planning time, 30 robots less 1", {1: [50, 60]},
+         {1: [40, 50], 30: [41, 51.01]}, "yes"),
+        ("PGF's lead, 30 robots less 1", {1: [50, 60], 30: [50, 60]},
+         {1: [40, 50], 30: [45, 55.01]}, "yes"),
+        ("PGF's lead, 30 robots less 1", {1: [50, 60], 30: [50, 60]},
+         {1: [40, 50], 30: [35, 45.01]}, "no"),
+    ],
+)  # fmt: skip
+def test_what_became_of_a_claim(claim, or_hitl, pgf, holds):
+    fleets = {("or-hitl", robots, ""): times for robots, times in or_hitl.items()}
+    rows = frame(fleets | {("pgf", robots, ""): times for robots, times in pgf.items()})
+    measure = {one.words: one.measure for one in study_claims.claims()}[claim]
+    assert measure(rows, "packed", "").holds == holds
 
 
 @pytest.mark.parametrize(
