@@ -75,7 +75,7 @@ def test_a_person_clicks_an_object_and_a_place_and_the_robot_goes_on_with_that(t
         click_shelf(page, cell, positions[scene_of(0, 0).goal])
         wait_for_text(page, f"Object {scene_of(0, 0).goal + 1} stands there.")
         click_shelf(page, cell, np.array([push.x, push.y]))
-        wait_for_text(page, "Confirm (Enter)")
+        wait_for_text(page, "Push (Enter)")
         wait_until_enabled(page, "Push", "Go on reaching", "Undo")
 
         # A second client may watch only.

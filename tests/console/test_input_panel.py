@@ -168,7 +168,7 @@ def test_a_push_is_picked_by_two_clicks_and_confirmed():
     assert feedback == Feedback("Object 1: now click where it should come to.")
     assert (panel.object, panel.target) == (0, None)
     feedback = panel.click(ME, ROBOT, 0.35, 0.2)
-    assert feedback.text == "Object 1 to here? Confirm (Enter), or click another place."
+    assert feedback.text == "Object 1 to here? Push (Enter), or click another place."
     assert panel.target == (0.35, 0.2)
     assert panel.click(ME, ROBOT, 0.3, 0.15).ok  # another place
     assert service.given == []
@@ -335,7 +335,7 @@ def test_a_place_is_reached_by_steps():
     panel = operated_panel(service)
     refused(panel, lambda: panel.nudge(ME, 1, 0), "Pick an object first (Tab, or click it).")
     panel.click(ME, ROBOT, *OBJECTS[0])
-    assert panel.nudge(ME, -1, 0).text == "Confirm with Enter."
+    assert panel.nudge(ME, -1, 0).text == "To there? Push (Enter), or move it on."
     assert panel.target == pytest.approx((0.39, 0.0))
     panel.nudge(ME, 0, -3)
     assert panel.target == pytest.approx((0.39, -0.03))
@@ -356,7 +356,7 @@ def test_steps_may_cross_targets_that_are_not_allowed():
         feedback = panel.nudge(ME, 0, 1)
         problems.append(panel.problem)
         assert feedback.ok == (not panel.problem) and feedback.text == (
-            panel.problem or "Confirm with Enter."
+            panel.problem or "To there? Push (Enter), or move it on."
         )
         if panel.problem:
             refused(panel, lambda: panel.confirm(ME), panel.problem)

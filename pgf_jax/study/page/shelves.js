@@ -8,7 +8,7 @@ const Shelves = (() => {
   const EDGES = { planning: "#9ab", in_window: "#e69f00", in_line: "#e69f00", served: "#d55e00",
     executing: "#009e73", idle: "#ddd" };
   const FRONT = 60, CAPTION = 40;  // mm in front of the shelf that is drawn; px above it
-  const BAR = [64, 8];  // px: how sure a robot is
+  const BAR = 5;  // px: height of the bar that says how sure a robot is
 
   // Cells of all robots; the served one is large, at the left.
   function layout(width, height, robots, served) {
@@ -83,12 +83,11 @@ const Shelves = (() => {
     pen.font = `${cell.large ? 18 : 13}px system-ui, sans-serif`;
     pen.textBaseline = "top";
     const failed = robot.failed ? `, ${robot.failed} failed` : "";
-    const room = cell.w - 20 - ("sure" in robot ? BAR[0] + 8 : 0);
-    pen.fillText(`Robot ${robot.robot + 1}: ${robot.words}`, cell.x + 10, cell.y + 8, room);
+    const left = cell.x + 10, top = cell.y + 8 + ("sure" in robot ? BAR : 0), room = cell.w - 20;
+    pen.fillText(`Robot ${robot.robot + 1}: ${robot.words}`, left, top, room);
     pen.fillStyle = "#555";
-    pen.fillText(robot.news || `${robot.done} done${failed}`, cell.x + 10,
-      cell.y + (cell.large ? 30 : 24), cell.w - 20);
-    if ("sure" in robot) bar(pen, cell.x + cell.w - BAR[0] - 12, cell.y + 12, robot.sure);
+    pen.fillText(robot.news || `${robot.done} done${failed}`, left, top + (cell.large ? 22 : 15), room);
+    if ("sure" in robot) bar(pen, left, cell.y + 6, room, robot.sure);
     if (cell.large && robot.costs) curve(pen, cell, robot.costs);
     line(pen, [[200, side], [back, side], [back, -side], [200, -side]].map(place), COLOURS.wall, 2);
     robot.objects.forEach((at, i) => {
@@ -125,12 +124,11 @@ const Shelves = (() => {
   }
 
   // How sure a robot is: the part of a bar that is filled; empty and dashed where it is not known.
-  function bar(pen, x, y, sure) {
-    const [w, h] = BAR;
+  function bar(pen, x, y, w, sure) {
     pen.fillStyle = "#555";
-    if (sure !== null) pen.fillRect(x, y, sure * w, h);
+    if (sure !== null) pen.fillRect(x, y, sure * w, BAR);
     pen.setLineDash(sure === null ? [2, 3] : []);
-    pen.strokeStyle = "#555"; pen.lineWidth = 1; pen.strokeRect(x + 0.5, y + 0.5, w, h);
+    pen.strokeStyle = "#555"; pen.lineWidth = 1; pen.strokeRect(x + 0.5, y + 0.5, w, BAR);
     pen.setLineDash([]);
   }
 
