@@ -11,9 +11,8 @@ A key is a measure, a set (with a setting in brackets), a fleet size and a polic
 import re
 
 import polars as pl
-from study_points import EACH
 from study_rows import over_seeds, text
-from study_served import largest, with_rate
+from study_served import fully_served, largest, with_rate
 from study_tables import TIME, fleets, less
 
 from pgf_jax.errors import BadInput
@@ -55,8 +54,8 @@ def number(rows: pl.DataFrame, key: str) -> str:
     name, _, setting = where.removesuffix(")").partition(" (")
     found = "-"
     if measure == "served" and len(more) == 2:
-        each = f"{setting}, {EACH}" if setting.startswith("services") else EACH
-        found = largest(rows, name, more[0], (setting, each), more[1]) or "-"
+        settings = setting, fully_served(setting)
+        found = largest(rows, name, more[0], settings, more[1]) or "-"
     elif len(more) == 2 and more[0].isdigit():
         robots, policies = int(more[0]), tuple(more[1].split(" less "))
         if measure == "seeds":

@@ -85,6 +85,13 @@ VARIANTS = {  # of the world, the operator and the service times
     "scattered services": services(8.0, 16.0),
 }
 
+SERVED = {  # settings of which it is asked how many robots are served, beside the base
+    **{f"services of {mean:g} s": services(mean) for mean in SERVICE_TIMES},
+    **{name: VARIANTS[name] for name in ("operator noisy", "operator oracle")},
+}
+OWN = "the paper's own"  # planner and computers, as far as they are known
+OWN_CHANGES = {"random_winner": 1.0, "compute": "shared:96"}
+
 FIGURE_6 = (*PAPER, "or-hitl-window", "autonomous")
 RESERVATIONS = {"time-saved": (4.0, 10.0), "gain-rate": (0.5, 1.0, 2.0), "urgency": (0.05, 0.1)}
 
@@ -98,9 +105,13 @@ def _served(setting: str, operators: int, sets: tuple[str, ...], *robots: int) -
     return Point("served", setting, sets, MAIN, robots, range(3), changes=changes)
 
 
-def _service(mean_s: float, setting: str = "", **changes: int) -> Point:
-    setting, changes = f"services of {mean_s:g} s{setting}", services(mean_s) | changes
-    return Point("service time", setting, ("packed",), MAIN, (2, 5, 10), range(2), changes=changes)
+def _fully(
+    setting: str, name: str, policies: tuple[str, ...], changes: Mapping[str, Any], *robots: int
+) -> tuple[Point, Point]:
+    """Fleets of a setting, and the same with an operator each."""
+    one = Point("served", setting, (name,), policies, robots, range(2), changes=changes)
+    changes = dict(changes) | {"operators": max(robots)}
+    return one, dataclasses.replace(one, setting=f"{setting}, {EACH}", changes=changes)
 
 
 def _figure6(setting: str, sets: tuple[str, ...], policies: tuple[str, ...], **changes) -> Point:
@@ -129,8 +140,12 @@ POINTS = (
     Point("served", "", HARD, ("autonomous",), (20,), range(3)),
     _served("", 1, ("all",), 50, 100),
     _served(EACH, 100, ("all",), 10, 20, 50, 100),
-    *(_service(mean) for mean in SERVICE_TIMES),
-    *(_service(mean, f", {EACH}", operators=10) for mean in SERVICE_TIMES),
+    *(
+        point
+        for setting, changes in SERVED.items()
+        for point in _fully(setting, "packed", MAIN, changes, 2, 5, 10)
+    ),
+    *_fully(OWN, "tight", PAPER, OWN_CHANGES, 10, 20, 30),
     *(
         Point("window", f"window of {w:g} s", ("packed",), ("pgf",), (10,), changes={"window": w})
         for w in WINDOWS

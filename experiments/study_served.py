@@ -9,11 +9,12 @@ services (Olsen & Wood 2004), and what the machine-repair model M/M/c//R says.
 import math
 
 import polars as pl
-from study_points import EACH, HARD, MAIN, SERVICE_TIMES
+from study_points import EACH, HARD, MAIN, OWN, SERVED
 from study_rows import difference, over_seeds, table, text
 from study_tables import TIME, fleets, section
 
 LOSS = 0.05  # accepted, against a fleet that is fully served
+OPERATORS = {"": 1, "2 operators": 2, "4 operators": 4}  # setting -> operators
 MEASURES = {  # name -> (column, whether more is better)
     "grasps an hour": ("rate", True),
     "time in the task": (TIME, False),
@@ -22,6 +23,11 @@ MEASURES = {  # name -> (column, whether more is better)
 }
 WORK = {"utilisation": "operator busy", "fairness_throughput": "fairness (Jain, tasks per hour)"}
 THERE = "There: with the largest fleet that is served by time in the task."
+
+
+def fully_served(setting: str) -> str:
+    """The setting in which the fleets of a setting have an operator each."""
+    return EACH if setting in OPERATORS else f"{setting}, {EACH}"
 
 
 def with_rate(rows: pl.DataFrame) -> pl.DataFrame:
@@ -115,37 +121,35 @@ def repairable(operators: int, think_s: float, service_s: float) -> int:
 def served(rows: pl.DataFrame) -> str:
     """The answer: by set, number of operators, service time and policy."""
     rows = with_rate(rows)
-    each = {"": EACH, "2 operators": EACH, "4 operators": EACH}
-    lines = []
+    of: list[tuple[str, str, int]] = []  # set, setting, operators
     for name in (*HARD, "all"):
-        for setting, full in each.items():
-            lines += _lines(rows, name, (setting, full), setting or "1 operator")
-    for mean in SERVICE_TIMES:
-        setting = f"services of {mean:g} s"
-        lines += _lines(rows, "packed", (setting, f"{setting}, {EACH}"), setting)
+        of += [(name, setting, count) for setting, count in OPERATORS.items()]
+    of += [("packed", setting, 1) for setting in SERVED]
+    of += [("tight", OWN, 1)]
+    lines = [line for one in of for line in _lines(rows, *one)]
     headings = ["set", "setting", "policy", *MEASURES]
     headings += [f"{words} there" for words in WORK.values()]
     headings += ["fully served, s", "fan-out by (Z + S) / S", "by the machine-repair model"]
     return section("How many robots are served", [table(headings, lines), THERE] if lines else [])
 
 
-def _lines(rows: pl.DataFrame, name: str, settings: tuple[str, str], label: str) -> list[list[str]]:
-    lines = []
+def _lines(rows: pl.DataFrame, name: str, setting: str, operators: int) -> list[list[str]]:
+    lines, settings = [], (setting, fully_served(setting))
     for policy in MAIN:
         found = [largest(rows, name, policy, settings, measure) for measure in MEASURES]
         if not any(found):
             continue
         size, _ = largest_size(rows, name, policy, settings, "time in the task")
-        its = fleets(rows, name, size, policy, settings[0])
+        its = fleets(rows, name, size, policy, setting)
         found += [text(over_seeds(its, column), 2) for column in WORK]
         full = rows.filter(pl.col("seed") < 100, set=name, policy=policy, setting=settings[1])
         full = full.filter(robots=full["robots"].max())
         think_s, service_s = cycle(full)
         fan_out, model = "-", "-"
         if service_s:
-            count = int(label.split()[0]) if "operator" in label else 1
-            fan_out = f"{count * (think_s + service_s) / service_s:.1f}"
-            model = str(repairable(count, think_s, service_s))
+            fan_out = f"{operators * (think_s + service_s) / service_s:.1f}"
+            model = str(repairable(operators, think_s, service_s))
+        label = setting or "1 operator"
         lines.append(
             [name, label, f"`{policy}`", *found, text(over_seeds(full, TIME)), fan_out, model]
         )

@@ -242,6 +242,7 @@ def test_what_became_of_a_claim(claim, or_hitl, pgf, holds):
         ("grasps: packed (2 operators), 10, or-hitl", "180.0"),  # 5 tasks in 5 times 20 s
         ("seeds: packed, 10, gain-rate", "2"),
         ("served: packed, or-hitl, time in the task", "10+"),
+        ("served: packed (operator noisy), or-hitl, success", "under 10"),
     ],
 )
 def test_numbers_in_the_text_are_looked_up(key, says):
@@ -249,10 +250,13 @@ def test_numbers_in_the_text_are_looked_up(key, says):
         {
             ("or-hitl", 10, ""): [50, 60],
             ("or-hitl", 10, EACH): [50, 60],
+            ("or-hitl", 10, "operator noisy"): [50, 60],
             ("gain-rate", 10, ""): [40, 52],
             ("or-hitl", 10, "2 operators"): [20],
         }
     )
+    better = frame({("or-hitl", 10, f"operator noisy, {EACH}"): [50, 60]}, success=0.9)
+    rows = pl.concat([rows, better])
     assert study_numbers.fill(rows, f"It takes {{{key}}} s.") == f"It takes {says} s."
 
 
