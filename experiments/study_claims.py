@@ -129,12 +129,16 @@ def claims() -> Iterator[Claim]:
         yield Claim(f"success, {_robots(robots)}", "as high", measure, "points")
 
 
+def panels_of(rows: pl.DataFrame) -> dict[str, str]:
+    """Those of `PANELS` that have rows."""
+    return {
+        name: setting for name, setting in PANELS.items() if sizes(rows, name, setting, policy=BASE)
+    }
+
+
 def paper_claims(rows: pl.DataFrame) -> str:
     """Each claim on each set of scenes that has rows of two seeds."""
-    there = {
-        name: setting for name, setting in PANELS.items() if sizes(rows, name, setting, policy=PGF)
-    }
-    lines = []
+    there, lines = panels_of(rows), []
     for claim in claims():
         cells = []
         for name, setting in there.items():

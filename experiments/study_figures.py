@@ -6,6 +6,7 @@ from typing import Any
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from study_claims import panels_of
 from study_points import EACH, MAIN, NUMBERS, SERVICE_TIMES
 from study_rows import over_seeds
 from study_tables import TIME, fleets, sizes
@@ -83,9 +84,9 @@ def headline(rows: pl.DataFrame) -> Figure:
 
 def ordering(rows: pl.DataFrame) -> Figure:
     """Figure 6 of the paper on five sets of scenes: planning time and success over fleet size."""
-    panels = {"tight": "figure 6", "all": "figure 6", "every": "", "crowded": "", "packed": ""}
+    panels = panels_of(rows)
     figure = Figure(figsize=(13, 5.6), layout="constrained")
-    axes = figure.subplots(2, len(panels), sharex=True, sharey="row")
+    axes = figure.subplots(2, max(1, len(panels)), sharex=True, sharey="row", squeeze=False)
     columns = (("planning_time_s", "planning time (s)", 1.0), ("success", "solved (%)", 100.0))
     for i, (name, setting) in enumerate(panels.items()):
         for ax, (column, label, scale) in zip(axes[:, i], columns, strict=True):
