@@ -136,9 +136,7 @@ class InputPanel:
         if problem:
             return Feedback(problem, ok=False)
         self.target, self.problem = (float(x), float(y)), ""
-        return Feedback(
-            f"Object {self.object + 1} to here? Push (Enter), or click another place."
-        )
+        return Feedback(f"Object {self.object + 1} to here? Push (Enter), or click another place.")
 
     def next_object(self, client: int) -> Feedback:
         """Pick the next object by keyboard, in the order of distance from the hand."""
@@ -165,7 +163,8 @@ class InputPanel:
             return Feedback(outside, ok=False)
         # On its way the target may cross places that are not allowed at the end.
         self.target, self.problem = (x, y), target_problem(self.pending.view, self.object, x, y)
-        return Feedback(self.problem or "To there? Push (Enter), or move it on.", ok=not self.problem)
+        words = self.problem or "To there? Push (Enter), or move it on."
+        return Feedback(words, ok=not self.problem)
 
     def undo(self, client: int) -> Feedback:
         """Take back the target, or else the object."""
