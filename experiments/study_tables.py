@@ -93,11 +93,13 @@ def way_to_oracle(rows: pl.DataFrame, name: str) -> str:
     """How much of what `ORACLE` saves against `BASE`, `BEST` saves; a line a fleet size."""
     lines = []
     for robots in sizes(rows, name, policy=ORACLE):
-        most, saved = (less(rows, name, robots, (BASE, policy)) for policy in (ORACLE, BEST))
+        seeds = fleets(rows, name, robots, ORACLE)["seed"].implode()  # the others have more
+        both = rows.filter(pl.col("seed").is_in(seeds))
+        most, saved = (less(both, name, robots, (BASE, policy)) for policy in (ORACLE, BEST))
         share = f"{100 * saved.mean / most.mean:.0f} %" if most.mean > 0 else "no share"
         lines.append(
             f"With {robots} robots `{ORACLE}` saves {text(most)} s against `{BASE}`, and `{BEST}` "
-            f"{text(saved)}: {share} of it."
+            f"{text(saved)}: {share} of it (seeds: {most.n})."
         )
     return "\n\n".join(lines)
 

@@ -145,15 +145,15 @@ def test_rows_are_kept_and_not_computed_again(tmp_path, monkeypatch, capsys):
 def test_the_way_to_the_oracle():
     rows = frame(
         {
-            ("or-hitl", 10, ""): [50, 60],
-            ("gain-rate", 10, ""): [40, 52],
+            ("or-hitl", 10, ""): [50, 60, 90],  # one seed more than the oracle
+            ("gain-rate", 10, ""): [40, 52, 30],
             ("oracle-time", 10, ""): [38, 48],
         }
     )
     line = study_tables.way_to_oracle(rows, "packed")
     # 9 s of 12.
     assert line.startswith("With 10 robots `oracle-time` saves 12.0 (12.0..12.0) s")
-    assert line.endswith("75 % of it.")
+    assert line.endswith("75 % of it (seeds: 2).")
     assert study_tables.way_to_oracle(rows.filter(policy="gain-rate"), "packed") == ""
 
 
