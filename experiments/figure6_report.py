@@ -7,6 +7,7 @@ from pathlib import Path
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from study_claims import Measured
 from study_rows import difference, fleets, over_seeds, read, table_row, text
 
 from pgf_jax.files import png, write_atomically
@@ -179,11 +180,7 @@ def _within(low: float, high: float) -> Verdict:
     """Judge intervals: yes if the whole interval is within the bounds, no if none of it is."""
 
     def verdict(found: Interval) -> str:
-        if found.n < 2:
-            return "-"
-        if low <= found.low and found.high <= high:
-            return "yes"
-        return "no" if found.high < low or found.low > high else "not decided"
+        return "-" if found.n < 2 else Measured(found, (low, high)).holds
 
     return verdict
 

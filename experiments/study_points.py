@@ -123,7 +123,7 @@ POINTS = (
     Point("ranking", "", SETS, RANKING, (10, 20)),
     Point("ranking", "", SETS, RANKING, (1,), tasks=20),
     Point("ranking", "", SETS, RANKING, (30,), range(2)),
-    # Two futures are planned to their ends after each iteration: some 30 times what others take.
+    # Two futures are planned to their ends after each iteration: half a minute of a core a task.
     Point("oracle", "", ("every",), ("oracle-time",), (10,), range(2)),
     _tuning("", "time-saved", "gain-rate", "urgency"),
     _tuning("failure cost 60 s", "gain-rate", failure_cost=60.0),
