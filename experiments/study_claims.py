@@ -14,8 +14,7 @@ from study_tables import BASE, PGF, fleets, less, section, sizes
 
 from pgf_jax.metrics.summary import Interval
 
-# Sets of scenes, and the setting by which each is judged: the paper's on scenes like its own.
-PANELS = {"tight": "figure 6", "all": "figure 6", "every": "", "crowded": "", "packed": ""}
+PANELS = ("tight", "all", "every", "crowded", "packed")  # sets of scenes, the paper's own first
 AT = 20  # robots, where the paper gives numbers
 FEW, MANY = 1, 30
 LIKE, SIMILAR, AS_HIGH = 0.05, 0.10, 0.01  # of OR-HITL's time; of utilisation; of success
@@ -48,7 +47,7 @@ class Measured:
         return "no" if self.found.high < low or self.found.low > high else "not decided"
 
 
-Measure = Callable[[pl.DataFrame, str, str], Measured]  # of rows, set and setting
+Measure = Callable[[pl.DataFrame, str], Measured]  # of rows and a set
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,34 +69,31 @@ class Claim:
 
 def _less(column: str, robots: int, bounds: Bounds) -> Measure:
     """The measure of a claim about a difference of the policies."""
-    return lambda rows, name, setting: Measured(
-        less(rows, name, robots, (PGF, BASE), column, setting), bounds
-    )
+    return lambda rows, name: Measured(less(rows, name, robots, (PGF, BASE), column), bounds)
 
 
 def _like(robots: int) -> Measure:
     """The same planning time, within a share of OR-HITL's."""
 
-    def measure(rows: pl.DataFrame, name: str, setting: str) -> Measured:
-        found = less(rows, name, robots, (PGF, BASE), "planning_time_s", setting)
-        theirs = fleets(rows, name, robots, BASE, setting)
-        within = LIKE * over_seeds(theirs, "planning_time_s").mean
+    def measure(rows: pl.DataFrame, name: str) -> Measured:
+        found = less(rows, name, robots, (PGF, BASE), "planning_time_s")
+        within = LIKE * over_seeds(fleets(rows, name, robots, BASE), "planning_time_s").mean
         return Measured(found, (-within, within))
 
     return measure
 
 
-def _rise(rows: pl.DataFrame, name: str, setting: str) -> Measured:
+def _rise(rows: pl.DataFrame, name: str) -> Measured:
     """PGF's planning time with many robots less that with few."""
-    many, few = (fleets(rows, name, robots, PGF, setting) for robots in (MANY, FEW))
+    many, few = (fleets(rows, name, robots, PGF) for robots in (MANY, FEW))
     return Measured(difference(many, few, "planning_time_s"), MORE)
 
 
-def _shrinks(rows: pl.DataFrame, name: str, setting: str) -> Measured:
+def _shrinks(rows: pl.DataFrame, name: str) -> Measured:
     """The lead over OR-HITL with many robots less that with few."""
 
     def lead(robots: int) -> pl.DataFrame:
-        ours, theirs = (fleets(rows, name, robots, policy, setting) for policy in (PGF, BASE))
+        ours, theirs = (fleets(rows, name, robots, policy) for policy in (PGF, BASE))
         gap = pl.col("planning_time_s") - pl.col("planning_time_s_theirs")
         both = ours.join(theirs, on="seed", suffix="_theirs")
         return both.select("seed", planning_time_s=gap)
@@ -129,11 +125,9 @@ def claims() -> Iterator[Claim]:
         yield Claim(f"success, {_robots(robots)}", "as high", measure, "points")
 
 
-def panels_of(rows: pl.DataFrame) -> dict[str, str]:
+def panels_of(rows: pl.DataFrame) -> list[str]:
     """Those of `PANELS` that have rows."""
-    return {
-        name: setting for name, setting in PANELS.items() if sizes(rows, name, setting, policy=BASE)
-    }
+    return [name for name in PANELS if sizes(rows, name, policy=BASE)]
 
 
 def paper_claims(rows: pl.DataFrame) -> str:
@@ -141,8 +135,8 @@ def paper_claims(rows: pl.DataFrame) -> str:
     there, lines = panels_of(rows), []
     for claim in claims():
         cells = []
-        for name, setting in there.items():
-            measured = claim.measure(rows, name, setting)
+        for name in there:
+            measured = claim.measure(rows, name)
             scale = 100 if claim.unit == "points" else 1
             words = f"{text(measured.found, 1, scale)} {claim.unit}: {measured.holds}"
             cells.append(words if measured.found.n > 1 else "")

@@ -88,11 +88,10 @@ def ordering(rows: pl.DataFrame) -> Figure:
     figure = Figure(figsize=(13, 5.6), layout="constrained")
     axes = figure.subplots(2, max(1, len(panels)), sharex=True, sharey="row", squeeze=False)
     columns = (("planning_time_s", "planning time (s)", 1.0), ("success", "solved (%)", 100.0))
-    for i, (name, setting) in enumerate(panels.items()):
+    for i, name in enumerate(panels):
         for ax, (column, label, scale) in zip(axes[:, i], columns, strict=True):
-            for policy in (*MAIN, "or-hitl-window", "autonomous"):
-                of = _by_size(rows, name, policy, setting)
-                _line(ax, column, of, policy, scale)
+            for policy in (*MAIN, "autonomous"):
+                _line(ax, column, _by_size(rows, name, policy), policy, scale)
             if not i:
                 ax.set_ylabel(label)
         axes[0, i].set_title(name, fontsize="medium")

@@ -135,6 +135,9 @@ def test_rows_are_kept_and_not_computed_again(tmp_path, monkeypatch, capsys):
     rows = study.Rows(tmp_path / "study.csv")
     assert rows.keys == set(keys([point])) and rows.rows[0]["robot_hours"] == 8 / 3600
     assert "left: 1 batches, 3 tasks" in capsys.readouterr().err
+    (times,) = pl.read_csv(tmp_path / "study_times.csv").to_dicts()
+    assert times.pop("core_s") > 0
+    assert times == {"part": "a", "set": "tight", "seed": 0, "tasks": 3}
     study.compute(config, tmp_path)
     assert (tmp_path / "study.csv").read_bytes() == stored and capsys.readouterr().err == ""
 
@@ -229,7 +232,7 @@ def test_what_became_of_a_claim(claim, or_hitl, pgf, holds):
     fleets = {("or-hitl", robots, ""): times for robots, times in or_hitl.items()}
     rows = frame(fleets | {("pgf", robots, ""): times for robots, times in pgf.items()})
     measure = {one.words: one.measure for one in study_claims.claims()}[claim]
-    assert measure(rows, "packed", "").holds == holds
+    assert measure(rows, "packed").holds == holds
 
 
 @pytest.mark.parametrize(
