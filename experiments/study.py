@@ -19,13 +19,13 @@ from typing import Literal
 
 import polars as pl
 import study_report as report
+import study_times
 from rich.console import Console
 from study_points import NAMED, POINTS, Difference, Point, scenes_of
 from study_rows import difference
 from study_runs import RAW, ROOT, Run, rows_of, script, stored
 
 from pgf_jax import SweepConfig, sweeps
-from pgf_jax.cores import usable
 from pgf_jax.files import write_atomically
 from pgf_jax.sweeping.summary import csv
 
@@ -112,7 +112,6 @@ class Rows:
         for row in self.rows:
             row["setting"] = row["setting"] or ""
         self._spent: dict[str, tuple[float, int]] = {}  # set -> seconds, tasks
-        self._times = path.with_name("study_times.csv")
 
     @property
     def keys(self) -> set[Key]:
@@ -129,22 +128,10 @@ class Rows:
         frame = pl.DataFrame(self.rows, infer_schema_length=None).sort(KEY)
         write_atomically(self.path, csv(frame))
         took_s, done = time.monotonic() - start, sum(one.tasks for one in fleets)
-        self._note_times(fleets, took_s / done)
+        noted = [(one.point.part, one.name, one.seed, one.tasks) for one in fleets]
+        study_times.note(self.path.with_name(study_times.NAME), noted, took_s)
         seconds, tasks = self._spent.get(fleets[0].name, (0.0, 0))
         self._spent[fleets[0].name] = seconds + took_s, tasks + done
-
-    def _note_times(self, fleets: Sequence[Fleets], task_s: float) -> None:
-        """Store how long each part took: the time of fleets computed together, shared by tasks."""
-        cores = len(usable())
-        noted = [
-            {"part": one.point.part, "set": one.name, "seed": one.seed, "tasks": one.tasks,
-             "core_s": round(one.tasks * task_s * cores, 3)}
-            for one in fleets
-        ]  # fmt: skip
-        frame = pl.DataFrame(noted).group_by("part", "set", "seed").sum()
-        if self._times.exists():
-            frame = pl.concat([pl.read_csv(self._times), frame])
-        write_atomically(self._times, csv(frame.sort("part", "set", "seed", "tasks")))
 
     def seconds(self, fleets: Sequence[Fleets]) -> float:
         """The time that fleets will take, by what others of their set took, s; 0: unknown."""

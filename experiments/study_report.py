@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import study_times
 from study_claims import paper_claims
 from study_figures import FIGURES
 from study_numbers import fill
@@ -24,6 +25,7 @@ def write(out: Path) -> str:
     """Write `study.md` and the figures of which there are rows, and return the tables."""
     rows = read("study", out).fill_null("")
     parts = [HEAD, served(rows), paper_claims(rows), *(table(rows) for table in TABLES)]
+    parts.append(study_times.times(rows, out / study_times.NAME))
     report = "\n\n".join(part for part in parts if part) + "\n"
     write_atomically(out / "study.md", report.encode())
     for name, draw in FIGURES.items():

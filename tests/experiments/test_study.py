@@ -14,6 +14,7 @@ import study_numbers
 import study_report
 import study_served
 import study_tables
+import study_times
 from study_points import EACH, NAMED, POINTS, Point, scenes_of
 
 from pgf_jax.errors import BadInput
@@ -297,9 +298,23 @@ def test_the_machine_repair_model():
     assert few < 300 / 10 + 1 and many > 4 * few
 
 
+def test_how_long_the_study_took(tmp_path, monkeypatch):
+    """Fleets that were computed together share their time by tasks; the others are estimated."""
+    monkeypatch.setattr(study_times, "usable", lambda: [0, 1])
+    rows, path = pl.DataFrame({"tasks": [60, 60]}), tmp_path / study_times.NAME
+    assert study_times.times(rows, path) == ""
+    study_times.note(path, [("a", "tight", 0, 10), ("b", "tight", 0, 20)], 2700.0)
+    study_times.note(path, [("a", "tight", 1, 10), ("a", "tight", 1, 20)], 2700.0)
+    says = study_times.times(rows, path)
+    assert "| a | 40 | 2.00 |" in says and "| b | 20 | 1.00 |" in says
+    assert "| without a time | 60 | about 3.00 |" in says and "About 3.0 hours of 2 cores" in says
+    assert "In all 1.5 hours of 2 cores" in study_times.times(rows[:1], path)
+
+
 def test_the_report_comes_from_the_stored_rows(tmp_path):
     """Its tables, its figures, and the numbers in the text of the README."""
-    for name in ("results/study.csv", "README.md", "study_text.md"):
+    names = "results/study.csv", "results/study_times.csv", "README.md", "study_text.md"
+    for name in filter(lambda name: (STORED.parent / name).exists(), names):
         shutil.copy(STORED.parent / name, tmp_path)
     study_report.write(tmp_path)
     study_report.write_text(tmp_path, tmp_path / "README.md")

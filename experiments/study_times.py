@@ -1,0 +1,53 @@
+"""How long the study took: noted for each part as it is computed, and shown as a table."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import polars as pl
+from study_rows import table
+from study_tables import section
+
+from pgf_jax.cores import usable
+from pgf_jax.files import write_atomically
+from pgf_jax.sweeping.summary import csv
+
+NAME = "study_times.csv"  # beside the rows
+CORES = 2  # for which the whole time is given
+HOUR = 3600.0  # s
+
+
+def note(path: Path, fleets: Iterable[tuple[str, str, int, int]], took_s: float) -> None:
+    """Add the time of fleets that were computed together to a file.
+
+    Args:
+      path: of the file.
+      fleets: part of the study, set, seed and number of tasks of each.
+      took_s: all of them together, on the cores that this process may use; shared by tasks.
+    """
+    noted = pl.DataFrame(list(fleets), ("part", "set", "seed", "tasks"), orient="row")
+    core_s = len(usable()) * took_s * pl.col("tasks") / pl.col("tasks").sum()
+    frame = noted.with_columns(core_s=core_s.round(3)).group_by("part", "set", "seed").sum()
+    if path.exists():
+        frame = pl.concat([pl.read_csv(path), frame])
+    write_atomically(path, csv(frame.sort("part", "set", "seed", "tasks")))
+
+
+def times(rows: pl.DataFrame, path: Path) -> str:
+    """The time of each part, and of the whole on `CORES` cores; empty where none was noted.
+
+    Rows of which no time was noted are taken to have been computed as fast as the others.
+    """
+    if not path.exists():
+        return ""
+    noted = pl.read_csv(path)
+    lines = [
+        [part, str(its["tasks"].sum()), f"{float(its['core_s'].sum()) / HOUR:.2f}"]
+        for (part,), its in noted.group_by("part", maintain_order=True)
+    ]
+    tasks, core_s = int(noted["tasks"].sum()), float(noted["core_s"].sum())
+    others = int(rows["tasks"].sum()) - tasks
+    if others > 0:
+        lines.append(["without a time", str(others), f"about {core_s * others / tasks / HOUR:.2f}"])
+    hours = core_s * (1 + max(0, others) / tasks) / HOUR / CORES
+    words = f"{'About' if others > 0 else 'In all'} {hours:.1f} hours of {CORES} cores."
+    return section("How long it took", [table(["part", "tasks", "hours of a core"], lines), words])
