@@ -120,7 +120,7 @@ class Rows:
 
     def compute(self, fleets: Sequence[Fleets], config: Config) -> None:
         """Compute fleets together, and store their rows."""
-        start = time.monotonic()
+        start, start_core_s = time.monotonic(), study_times.processor_s()
         runs = [run_of(one, config) for one in fleets]
         outcomes = sweeps([run.config for run in runs], quiet=False, tables=False)
         for run, outcome in zip(runs, outcomes, strict=True):
@@ -129,7 +129,8 @@ class Rows:
         write_atomically(self.path, csv(frame))
         took_s, done = time.monotonic() - start, sum(one.tasks for one in fleets)
         noted = [(one.point.part, one.name, one.seed, one.tasks) for one in fleets]
-        study_times.note(self.path.with_name(study_times.NAME), noted, took_s)
+        core_s = study_times.processor_s() - start_core_s
+        study_times.note(self.path.with_name(study_times.NAME), noted, core_s)
         seconds, tasks = self._spent.get(fleets[0].name, (0.0, 0))
         self._spent[fleets[0].name] = seconds + took_s, tasks + done
 

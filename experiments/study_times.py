@@ -1,5 +1,9 @@
-"""How long the study took: noted for each part as it is computed, and shown as a table."""
+"""How long the study took: noted for each part as it is computed, and shown as a table.
 
+Times are of the processor, so that other programs and interruptions do not count.
+"""
+
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -7,7 +11,6 @@ import polars as pl
 from study_rows import table
 from study_tables import section
 
-from pgf_jax.cores import usable
 from pgf_jax.files import write_atomically
 from pgf_jax.sweeping.summary import csv
 
@@ -16,17 +19,23 @@ CORES = 2  # for which the whole time is given
 HOUR = 3600.0  # s
 
 
-def note(path: Path, fleets: Iterable[tuple[str, str, int, int]], took_s: float) -> None:
+def processor_s() -> float:
+    """Time that this process, its threads and its ended processes have computed, s."""
+    return sum(os.times()[:4])
+
+
+def note(path: Path, fleets: Iterable[tuple[str, str, int, int]], core_s: float) -> None:
     """Add the time of fleets that were computed together to a file.
 
     Args:
       path: of the file.
       fleets: part of the study, set, seed and number of tasks of each.
-      took_s: all of them together, on the cores that this process may use; shared by tasks.
+      core_s: time of the processor that all of them took, which they share by tasks.
     """
     noted = pl.DataFrame(list(fleets), ("part", "set", "seed", "tasks"), orient="row")
-    core_s = len(usable()) * took_s * pl.col("tasks") / pl.col("tasks").sum()
-    frame = noted.with_columns(core_s=core_s.round(3)).group_by("part", "set", "seed").sum()
+    share = pl.col("tasks") / pl.col("tasks").sum()
+    noted = noted.with_columns(core_s=(core_s * share).round(3))
+    frame = noted.group_by("part", "set", "seed").sum()
     if path.exists():
         frame = pl.concat([pl.read_csv(path), frame])
     write_atomically(path, csv(frame.sort("part", "set", "seed", "tasks")))

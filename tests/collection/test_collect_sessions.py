@@ -61,6 +61,8 @@ def record(out: Path, *, stop_s: float | None = None, **changes) -> Recorded:
         "engine": "ghost",
         "operator": "nudge",
         "lanes": 4,
+        "world": "none",  # nothing that a ghost does is true in any
+        "physics": "authors",
         "out": out,
     }
     spec = SessionSpec.load(ConsoleConfig(**(settings | changes)))
@@ -254,9 +256,8 @@ def test_progress_counts_tasks(tmp_path, session, person):
 def test_training_takes_them_beside_autonomous_runs(tmp_path, session):
     other = record(tmp_path / "other", seed=1)
     done = collect(settings(tmp_path / "data", session.folder, other.folder))
-    collect(
-        CollectConfig(mode="autonomous", scenes=6, out=tmp_path / "data", engine="ghost", workers=1)
-    )
+    toys = {"engine": "ghost", "world": "none", "physics": "authors", "workers": 1}
+    collect(CollectConfig(mode="autonomous", scenes=6, out=tmp_path / "data", **toys))
     config = TrainConfig(max_epochs=2, hidden=(4,))
     report = train(tmp_path / "data", tmp_path / "networks", config)
     assert report["phi_human"]["runs"] == done.runs == 12
@@ -273,6 +274,8 @@ def test_a_session_of_the_real_engine(tmp_path):
         engine="planar",
         operator="heuristic",
         lanes=None,
+        world="solid",
+        physics="default",
         scene_class="wide",
     )
     done = collect(settings(tmp_path, real.folder))

@@ -298,13 +298,12 @@ def test_the_machine_repair_model():
     assert few < 300 / 10 + 1 and many > 4 * few
 
 
-def test_how_long_the_study_took(tmp_path, monkeypatch):
+def test_how_long_the_study_took(tmp_path):
     """Fleets that were computed together share their time by tasks; the others are estimated."""
-    monkeypatch.setattr(study_times, "usable", lambda: [0, 1])
     rows, path = pl.DataFrame({"tasks": [60, 60]}), tmp_path / study_times.NAME
     assert study_times.times(rows, path) == ""
-    study_times.note(path, [("a", "tight", 0, 10), ("b", "tight", 0, 20)], 2700.0)
-    study_times.note(path, [("a", "tight", 1, 10), ("a", "tight", 1, 20)], 2700.0)
+    study_times.note(path, [("a", "tight", 0, 10), ("b", "tight", 0, 20)], 5400.0)
+    study_times.note(path, [("a", "tight", 1, 10), ("a", "tight", 1, 20)], 5400.0)
     says = study_times.times(rows, path)
     assert "| a | 40 | 2.00 |" in says and "| b | 20 | 1.00 |" in says
     assert "| without a time | 60 | about 3.00 |" in says and "About 3.0 hours of 2 cores" in says

@@ -39,7 +39,8 @@ if "--deadly" in sys.argv:
 
 if __name__ == "__main__":
     fleets = "--policies or-hitl autonomous always queue --robots 1 2 3 --tasks 2"
-    toys = "--engine ghost --operator nudge --lanes 4"
+    # Nothing that a ghost does is true in any world.
+    toys = "--engine ghost --operator nudge --lanes 4 --world none --physics authors"
     own = [word for word in sys.argv[2:] if word not in ("--slow", "--deadly")]
     workers = [] if "--scheduler" in own else ["--workers", "2"]
     sys.exit(main(["sweep", *fleets.split(), *toys.split(), *workers, "--out", sys.argv[1], *own]))

@@ -75,6 +75,8 @@ def toy(out: Path, **changes) -> ConsoleConfig:
         "policy": "asking",
         "engine": "phantom",
         "lanes": 4,
+        "world": "none",  # nothing that a phantom does is true in any
+        "physics": "authors",
         "speed": 50.0,
         "rollout_time": 6.0,
         "out": out,
