@@ -378,7 +378,7 @@ def test_the_main_script_may_register_with_several_workers(tmp_path, outside):
         [sys.executable, str(script), str(tmp_path / "out")],
         capture_output=True,
         text=True,
-        env={"PYTHONPATH": path, "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)},
+        env={"PYTHONPATH": path, "PATH": "/usr/bin:/bin", "HOME": str(Path.home())},
     )
     if outside:
         assert "of the script_R2" in result.stdout, result.stderr
