@@ -6,7 +6,7 @@ Each figure is drawn from its data file `OUT/figureN.json` alone, so `--draw` dr
 computing. The same options give the same file byte for byte (on one machine). Each file states the
 rule by which its scenes were chosen; no rule depends on how planning a scene ended.
 `figures_2_4_5_windows.py` makes the data of figure 5, `figures_2_4_5_drawing.py` draws. It takes
-about 40 s of one core, 15 s with `--preset quick`.
+about three minutes of one core, less with `--preset quick`.
 
 Source: Papallas & Dogar (2022), figures 2, 4 and 5.
 """
