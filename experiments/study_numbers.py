@@ -1,14 +1,18 @@
-"""Numbers in the report's text, looked up in the stored rows by keys that stand in the text.
+"""Numbers in the report's text, looked up in what is stored by keys that stand in the text.
 
-A key is a measure, a set (with a setting in brackets), a fleet size and a policy, or two:
+A key is a measure, a set (with a setting in brackets), a fleet size and a policy, or two; or a
+figure's data file, and the names that lead to a number in it:
 
     {time: packed, 10, gain-rate less or-hitl}
     {success: every (2 operators), 20, pgf}
     {served: packed, gain-rate, time in the task}
     {seeds: packed, 10, pgf}
+    {figure4: hard.alone.iterations}
 """
 
+import json
 import re
+from pathlib import Path
 
 import polars as pl
 from study_rows import over_seeds, text
@@ -29,14 +33,41 @@ MEASURES = {  # name -> (column, digits, scale)
 KEY = re.compile(r"\{([^{}]+)\}")
 
 
-def fill(rows: pl.DataFrame, words: str) -> str:
+def fill(rows: pl.DataFrame, words: str, folder: Path) -> str:
     """A text with its numbers.
+
+    Args:
+      rows: of the study.
+      words: the text.
+      folder: of the data files of figures.
 
     Raises:
       BadInput: a key finds nothing.
     """
     rows = with_rate(rows)
-    return KEY.sub(lambda found: number(rows, found[1]), words)
+
+    def found(key: str) -> str:
+        return of_figure(folder, key) if key.startswith("figure") else number(rows, key)
+
+    return KEY.sub(lambda match: found(match[1]), words)
+
+
+def of_figure(folder: Path, key: str) -> str:
+    """What a key stands for in the data file of a figure.
+
+    Raises:
+      BadInput: there is no such number.
+    """
+    name, _, way = key.partition(": ")
+    try:
+        one = json.loads((folder / f"{name}.json").read_bytes())
+        for step in way.split("."):
+            one = one[int(step) if isinstance(one, list) else step]
+    except (OSError, LookupError, TypeError, ValueError):
+        one = None
+    if isinstance(one, bool) or not isinstance(one, int | float):
+        raise BadInput(f"the report's text asks for {{{key}}}, which is no number there")
+    return str(one) if isinstance(one, int) else f"{one:.2f}"
 
 
 def number(rows: pl.DataFrame, key: str) -> str:

@@ -37,7 +37,8 @@ def write(out: Path) -> str:
 
 def write_text(out: Path, readme: Path) -> None:
     """Write the section of the README whose numbers are looked up, from `study_text.md`."""
-    words = fill(read("study", out).fill_null(""), readme.with_name("study_text.md").read_text())
+    words = readme.with_name("study_text.md").read_text()
+    words = fill(read("study", out).fill_null(""), words, out)
     begin, end = (f"<!-- study: {word} -->\n" for word in ("begin", "end"))
     before, _, rest = readme.read_text().partition(begin)
     write_atomically(readme, f"{before}{begin}\n{words}\n{end}{rest.partition(end)[2]}".encode())

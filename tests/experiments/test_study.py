@@ -249,7 +249,7 @@ def test_what_became_of_a_claim(claim, or_hitl, pgf, holds):
         ("served: packed (operator noisy), or-hitl, success", "under 10"),
     ],
 )
-def test_numbers_in_the_text_are_looked_up(key, says):
+def test_numbers_in_the_text_are_looked_up(key, says, tmp_path):
     rows = frame(
         {
             ("or-hitl", 10, ""): [50, 60],
@@ -261,7 +261,8 @@ def test_numbers_in_the_text_are_looked_up(key, says):
     )
     better = frame({("or-hitl", 10, f"operator noisy, {EACH}"): [50, 60]}, success=0.9)
     rows = pl.concat([rows, better])
-    assert study_numbers.fill(rows, f"It takes {{{key}}} s.") == f"It takes {says} s."
+    words = study_numbers.fill(rows, f"It takes {{{key}}} s.", tmp_path)
+    assert words == f"It takes {says} s."
 
 
 @pytest.mark.parametrize(
@@ -269,9 +270,20 @@ def test_numbers_in_the_text_are_looked_up(key, says):
     ["time: packed, 20, pgf", "time: packed", "tiem: packed, 10, pgf", "time: packed, 10, pgf (x)",
      "served: packed, pgf, success", "seeds: all, 10, pgf", "10"],
 )  # fmt: skip
-def test_a_number_that_is_not_there_is_a_fault(key):
+def test_a_number_that_is_not_there_is_a_fault(key, tmp_path):
     with pytest.raises(BadInput, match="which the rows do not have"):
-        study_numbers.fill(frame({("pgf", 10, ""): [50]}), f"{{{key}}}")
+        study_numbers.fill(frame({("pgf", 10, ""): [50]}), f"{{{key}}}", tmp_path)
+
+
+def test_numbers_of_figures_are_looked_up(tmp_path):
+    (tmp_path / "figure9.json").write_text('{"a": [{"cost": 7.125}, {"n": 4, "solved": true}]}')
+    rows = frame({("pgf", 10, ""): [50]})
+    words = study_numbers.fill(rows, "{figure9: a.0.cost} and {figure9: a.1.n}", tmp_path)
+    assert words == "7.12 and 4"
+    for key in ("figure8: a", "figure9: b", "figure9: a.2.n", "figure9: a.1", "figure9: a.1.solved",
+                "figure9: a.x", "figure9: a.1.n.more"):  # fmt: skip
+        with pytest.raises(BadInput, match="no number there"):
+            study_numbers.fill(rows, f"{{{key}}}", tmp_path)
 
 
 def test_figures_are_drawn_of_what_there_is():
@@ -312,8 +324,8 @@ def test_how_long_the_study_took(tmp_path):
 
 def test_the_report_comes_from_the_stored_rows(tmp_path):
     """Its tables, its figures, and the numbers in the text of the README."""
-    names = "results/study.csv", "results/study_times.csv", "README.md", "study_text.md"
-    for name in filter(lambda name: (STORED.parent / name).exists(), names):
+    names = ("README.md", "study_text.md", "results/study.csv", "results/study_times.csv")
+    for name in (*names, *(f"results/figure{n}.json" for n in (2, 4, 5))):
         shutil.copy(STORED.parent / name, tmp_path)
     study_report.write(tmp_path)
     study_report.write_text(tmp_path, tmp_path / "README.md")
