@@ -35,8 +35,12 @@ def _line(
     of: Mapping[Any, pl.DataFrame],
     policy: str,
     scale: float = 1.0,
+    apart: float = 0.0,
 ) -> None:
-    """Draw a value of a policy over what distinguishes the fleets, with 95 % intervals."""
+    """Draw a value of a policy over what distinguishes the fleets, with 95 % intervals.
+
+    Intervals of policies are drawn `apart` from each other, so that they can be told apart.
+    """
     points = {x: over_seeds(its, column) for x, its in of.items() if len(its)}
     if not points:
         return
@@ -45,9 +49,10 @@ def _line(
     below = [scale * (one.mean - one.low) for one in found]
     above = [scale * (one.high - one.mean) for one in found]
     means = [scale * one.mean for one in found]
-    style = STYLES[policy]
+    style, shift = STYLES[policy], apart * (list(LABELS).index(policy) - 1)
+    places = [x + shift for x in points] if apart else list(points)
     axes.errorbar(
-        list(points), means, [below, above], capsize=2, markersize=5, label=LABELS[policy], **style
+        places, means, [below, above], capsize=2, markersize=5, label=LABELS[policy], **style
     )
 
 
@@ -70,7 +75,7 @@ def headline(rows: pl.DataFrame) -> Figure:
     columns = ((TIME, "time in the task (s)", 1.0), ("success", "tasks solved (%)", 100.0))
     for ax, (column, label, scale) in zip(axes, columns, strict=True):
         for policy in MAIN:
-            _line(ax, column, _by_size(rows, "packed", policy), policy, scale)
+            _line(ax, column, _by_size(rows, "packed", policy), policy, scale, apart=0.5)
         ends = (("gain-rate", EACH, "always helped at once", "--"), ("autonomous", "", None, ":"))
         for policy, setting, words, style in ends:
             its = _by_size(rows, "packed", policy, setting)
@@ -91,7 +96,7 @@ def ordering(rows: pl.DataFrame) -> Figure:
     for i, name in enumerate(panels):
         for ax, (column, label, scale) in zip(axes[:, i], columns, strict=True):
             for policy in (*MAIN, "autonomous"):
-                _line(ax, column, _by_size(rows, name, policy), policy, scale)
+                _line(ax, column, _by_size(rows, name, policy), policy, scale, apart=0.7)
             if not i:
                 ax.set_ylabel(label)
         axes[0, i].set_title(name, fontsize="medium")
