@@ -30,7 +30,7 @@ from pgf_jax.tables import decoder, event_log, results
 from pgf_jax.tables.forks import forks_of, read_forks
 from pgf_jax.tables.parquet import read_provenance, read_table
 
-FEW = 110  # cases of a reader: seconds
+FEW = 60  # cases of a reader: seconds
 MANY = 1300  # 30 readers: 39 000 files
 
 

@@ -177,7 +177,7 @@ def small_disk(tmp_path):
         subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-@pytest.mark.parametrize("kib", [0, 64, 150, 300])
+@pytest.mark.parametrize("kib", [0, pytest.param(64, marks=pytest.mark.slow), 150, 300])
 def test_a_full_disk(toy, tmp_path, small_disk, kib):
     """One line, whatever is full when; with more room the same sweep goes on."""
     disk = small_disk(max(kib, 4))

@@ -44,7 +44,7 @@ def folder(tmp_path_factory):
     return functools.partial(_folder, tmp_path_factory.mktemp("sweeps"))
 
 
-@pytest.mark.parametrize("error", [False, True])
+@pytest.mark.parametrize("error", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_two_workers_give_the_same_bytes(folder, tmp_path, error):
     one = folder(error)
     changes: dict[str, Any] = {"world_error": ("default",)} if error else {}
