@@ -39,7 +39,7 @@ def _line(
 ) -> None:
     """Draw a value of a policy over what distinguishes the fleets, with 95 % intervals.
 
-    Intervals of policies are drawn `apart` from each other, so that they can be told apart.
+    Policies are drawn `apart` along the axis, so that their intervals do not hide each other.
     """
     points = {x: over_seeds(its, column) for x, its in of.items() if len(its)}
     if not points:
@@ -50,7 +50,7 @@ def _line(
     above = [scale * (one.high - one.mean) for one in found]
     means = [scale * one.mean for one in found]
     style, shift = STYLES[policy], apart * (list(LABELS).index(policy) - 1)
-    places = [x + shift for x in points] if apart else list(points)
+    places = [x + shift for x in points]
     axes.errorbar(
         places, means, [below, above], capsize=2, markersize=5, label=LABELS[policy], **style
     )

@@ -10,9 +10,9 @@ figure's data file, and the names that lead to a number in it:
     {figure4: hard.alone.iterations}
 """
 
-import json
 import re
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 from study_rows import over_seeds, text
@@ -20,6 +20,7 @@ from study_served import fully_served, largest, with_rate
 from study_tables import TIME, fleets, less
 
 from pgf_jax.errors import BadInput
+from pgf_jax.files import read_json
 
 MEASURES = {  # name -> (column, digits, scale)
     "time": (TIME, 1, 1),
@@ -46,10 +47,11 @@ def fill(rows: pl.DataFrame, words: str, folder: Path) -> str:
     """
     rows = with_rate(rows)
 
-    def found(key: str) -> str:
+    def found(match: re.Match[str]) -> str:
+        key = match[1]
         return of_figure(folder, key) if key.startswith("figure") else number(rows, key)
 
-    return KEY.sub(lambda match: found(match[1]), words)
+    return KEY.sub(found, words)
 
 
 def of_figure(folder: Path, key: str) -> str:
@@ -59,11 +61,11 @@ def of_figure(folder: Path, key: str) -> str:
       BadInput: there is no such number.
     """
     name, _, way = key.partition(": ")
+    one: Any = read_json(folder / f"{name}.json", "the data of a figure")
     try:
-        one = json.loads((folder / f"{name}.json").read_bytes())
         for step in way.split("."):
             one = one[int(step) if isinstance(one, list) else step]
-    except (OSError, LookupError, TypeError, ValueError):
+    except (LookupError, TypeError, ValueError):
         one = None
     if isinstance(one, bool) or not isinstance(one, int | float):
         raise BadInput(f"the report's text asks for {{{key}}}, which is no number there")

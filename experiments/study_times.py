@@ -44,7 +44,7 @@ def note(path: Path, fleets: Iterable[tuple[str, str, int, int]], core_s: float)
 def times(rows: pl.DataFrame, path: Path) -> str:
     """The time of each part, and of the whole on `CORES` cores; empty where none was noted.
 
-    Rows of which no time was noted are taken to have been computed as fast as the others.
+    Rows of which no time was noted are taken to have been computed as fast as others of their set.
     """
     if not path.exists():
         return ""
@@ -53,10 +53,15 @@ def times(rows: pl.DataFrame, path: Path) -> str:
         [part, str(its["tasks"].sum()), f"{float(its['core_s'].sum()) / HOUR:.2f}"]
         for (part,), its in noted.group_by("part", maintain_order=True)
     ]
-    tasks, core_s = int(noted["tasks"].sum()), float(noted["core_s"].sum())
-    others = int(rows["tasks"].sum()) - tasks
-    if others > 0:
-        lines.append(["without a time", str(others), f"about {core_s * others / tasks / HOUR:.2f}"])
-    hours = core_s * (1 + max(0, others) / tasks) / HOUR / CORES
-    words = f"{'About' if others > 0 else 'In all'} {hours:.1f} hours of {CORES} cores."
+    core_s = float(noted["core_s"].sum())
+    others, others_s = 0, 0.0
+    for (name,), its in rows.group_by("set", maintain_order=True):
+        like = of_set if len(of_set := noted.filter(set=name)) else noted
+        left = int(its["tasks"].sum()) - int(noted.filter(set=name)["tasks"].sum())
+        others += left
+        others_s += left * float(like["core_s"].sum()) / int(like["tasks"].sum())
+    if others:
+        lines.append(["without a time", str(others), f"about {others_s / HOUR:.2f}"])
+    hours = (core_s + others_s) / HOUR / CORES
+    words = f"{'About' if others else 'In all'} {hours:.1f} hours of {CORES} cores."
     return section("How long it took", [table(["part", "tasks", "hours of a core"], lines), words])

@@ -280,7 +280,9 @@ def test_numbers_of_figures_are_looked_up(tmp_path):
     rows = frame({("pgf", 10, ""): [50]})
     words = study_numbers.fill(rows, "{figure9: a.0.cost} and {figure9: a.1.n}", tmp_path)
     assert words == "7.12 and 4"
-    for key in ("figure8: a", "figure9: b", "figure9: a.2.n", "figure9: a.1", "figure9: a.1.solved",
+    with pytest.raises(BadInput, match=r"figure8\.json: no such file"):
+        study_numbers.fill(rows, "{figure8: a}", tmp_path)
+    for key in ("figure9: b", "figure9: a.2.n", "figure9: a.1", "figure9: a.1.solved",
                 "figure9: a.x", "figure9: a.1.n.more"):  # fmt: skip
         with pytest.raises(BadInput, match="no number there"):
             study_numbers.fill(rows, f"{{{key}}}", tmp_path)
@@ -312,7 +314,8 @@ def test_the_machine_repair_model():
 
 def test_how_long_the_study_took(tmp_path):
     """Fleets that were computed together share their time by tasks; the others are estimated."""
-    rows, path = pl.DataFrame({"tasks": [60, 60]}), tmp_path / study_times.NAME
+    path = tmp_path / study_times.NAME
+    rows = pl.DataFrame({"set": ["tight", "packed"], "tasks": [60, 60]})
     assert study_times.times(rows, path) == ""
     study_times.note(path, [("a", "tight", 0, 10), ("b", "tight", 0, 20)], 5400.0)
     study_times.note(path, [("a", "tight", 1, 10), ("a", "tight", 1, 20)], 5400.0)
@@ -320,6 +323,8 @@ def test_how_long_the_study_took(tmp_path):
     assert "| a | 40 | 2.00 |" in says and "| b | 20 | 1.00 |" in says
     assert "| without a time | 60 | about 3.00 |" in says and "About 3.0 hours of 2 cores" in says
     assert "In all 1.5 hours of 2 cores" in study_times.times(rows[:1], path)
+    study_times.note(path, [("a", "packed", 0, 30)], 3 * 5400.0)  # thrice as slow: its others too
+    assert "| without a time | 30 | about 4.50 |" in study_times.times(rows, path)
 
 
 def test_the_report_comes_from_the_stored_rows(tmp_path):
